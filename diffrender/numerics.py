@@ -1,0 +1,57 @@
+"""Functions that keep value and gradient at delicate points; each says which, and has a test exactly there."""
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+
+def mean_decay(depth: Float[Tensor, "*batch"]) -> Float[Tensor, "*batch"]:
+    """Mean of exp(-x) for x from 0 to a depth: (1 - exp(-depth)) / depth, in (0, 1] for depths from 0 up.
+
+    1 - depth/2 near 0, value and gradient; 1/depth far out. Below 0 it grows like exp(-depth).
+    A series below 1/4, because autograd of the quotient cancels there, and torch.compile's expm1 loses all digits.
+
+    >>> mean_decay(torch.tensor([0.0, 1e-6, 100.0]))
+    tensor([1.0000, 1.0000, 0.0100])
+    """
+    small = depth.abs() < 0.25
+    near = torch.where(small, depth, torch.zeros_like(depth))
+    far = torch.where(small, torch.ones_like(depth), depth)
+    series = torch.ones_like(near)
+    for order in range(11, 1, -1):
+        series = 1.0 - near / order * series
+    return torch.where(small, series, (1.0 - torch.exp(-far)) / far)
+
+
+def safe_sqrt(square: Float[Tensor, "*batch"]) -> Float[Tensor, "*batch"]:
+    """Square root of what rounding may have taken below 0: 0 there, with gradient 0 at and below 0.
+
+    >>> safe_sqrt(torch.tensor([-1e-9, 0.0, 4.0]))
+    tensor([0., 0., 2.])
+    """
+    positive = square > 0.0
+    return torch.where(positive, torch.sqrt(torch.where(positive, square, torch.ones_like(square))), square * 0.0)
+
+
+def lookup(
+    table: Float[Tensor, "rows columns *channels"], row: Float[Tensor, "*batch"], column: Float[Tensor, "*batch"]
+) -> Float[Tensor, "*batch *channels"]:
+    """Bilinear value of a table at fractional indices; outside, the border's value.
+
+    Gradient: of the table, exact; of the indices, the slope of the cell they lie in, 0 outside the table.
+    By gather and lerp, because grid_sample has no forward-mode derivative.
+    """
+    rows, columns = table.shape[:2]
+    row, column = row.clamp(0.0, rows - 1.0), column.clamp(0.0, columns - 1.0)
+    top = row.detach().floor().clamp(0, max(rows - 2, 0)).long()
+    left = column.detach().floor().clamp(0, max(columns - 2, 0)).long()
+    flat = table.flatten(0, 1)
+    extra = (1,) * (table.ndim - 2)
+    down = (row - top).reshape(*row.shape, *extra)
+    across = (column - left).reshape(*row.shape, *extra)
+    corner = top * columns + left
+    below = min(1, rows - 1) * columns
+    beside = min(1, columns - 1)
+    upper = torch.lerp(flat[corner], flat[corner + beside], across)
+    lower = torch.lerp(flat[corner + below], flat[corner + below + beside], across)
+    return torch.lerp(upper, lower, down)
