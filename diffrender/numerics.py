@@ -29,26 +29,29 @@ def safe_sqrt(square: Float[Tensor, "*batch"]) -> Float[Tensor, "*batch"]:
     >>> safe_sqrt(torch.tensor([-1e-9, 0.0, 4.0]))
     tensor([0., 0., 2.])
     """
-    positive = square > 0.0
-    return torch.where(positive, torch.sqrt(torch.where(positive, square, torch.ones_like(square))), square * 0.0)
+    lost = square <= 0.0
+    return torch.where(lost, torch.zeros_like(square), torch.sqrt(torch.where(lost, torch.ones_like(square), square)))
 
 
 def lookup(
     table: Float[Tensor, "rows columns *channels"], row: Float[Tensor, "*batch"], column: Float[Tensor, "*batch"]
-) -> Float[Tensor, "*batch *channels"]:
-    """Bilinear value of a table at fractional indices; outside, the border's value.
+) -> Float[Tensor, "..."]:
+    """Bilinear value of a table at fractional indices, of shape (*batch, *channels); outside, the border's value.
+
+    Whole indices give the table's own entries, to the bit; NaN gives NaN.
 
     Gradient: of the table, exact; of the indices, the slope of the cell they lie in, 0 outside the table.
     By gather and lerp, because grid_sample has no forward-mode derivative.
     """
     rows, columns = table.shape[:2]
     row, column = row.clamp(0.0, rows - 1.0), column.clamp(0.0, columns - 1.0)
-    top = row.detach().floor().clamp(0, max(rows - 2, 0)).long()
-    left = column.detach().floor().clamp(0, max(columns - 2, 0)).long()
+    # Clamped once more as whole numbers, because NaN becomes one that lies in no table.
+    top = row.detach().floor().long().clamp(0, max(rows - 2, 0))
+    left = column.detach().floor().long().clamp(0, max(columns - 2, 0))
     flat = table.flatten(0, 1)
-    extra = (1,) * (table.ndim - 2)
-    down = (row - top).reshape(*row.shape, *extra)
-    across = (column - left).reshape(*row.shape, *extra)
+    per_channel = row.shape + (1,) * (table.ndim - 2)
+    down = (row - top).reshape(per_channel)
+    across = (column - left).reshape(per_channel)
     corner = top * columns + left
     below = min(1, rows - 1) * columns
     beside = min(1, columns - 1)

@@ -60,14 +60,18 @@ class Specification:
         return (value - low) / (high - low)
 
     def from_unit(self, unit: Tensor) -> Tensor:
-        """Value at a place between the bounds; the inverse of `to_unit`."""
+        """Value at a place between the bounds; the inverse of `to_unit`.
+
+        Measured from the nearer bound, so that 0 and 1 give the bounds themselves and nothing between lies outside.
+        """
         low, high = self.bounds
         if self.scale == "log":
-            return low * torch.exp(unit * math.log(high / low))
-        return low + unit * (high - low)
+            span = math.log(high / low)
+            return torch.where(unit < 0.5, low * torch.exp(unit * span), high * torch.exp((unit - 1.0) * span))
+        return torch.where(unit < 0.5, low + unit * (high - low), high - (1.0 - unit) * (high - low))
 
 
-def parameter(
+def parameter(  # noqa: PLR0913 - all but the default by name, and each is a fact of its own
     default: float | tuple[float, float, float],
     *,
     bounds: tuple[float, float],
@@ -75,7 +79,7 @@ def parameter(
     about: str,
     scale: Literal["linear", "log"] = "linear",
     in_files: tuple[str, float] | None = None,
-) -> Any:  # noqa: ANN401 - stands where a Tensor is declared
+) -> Any:
     """Declare a field of a record: the one place where its default, bounds, unit and scale are written."""
     return field(metadata={"specification": Specification(default, bounds, unit, about, scale, in_files)})
 
@@ -89,7 +93,7 @@ def record(cls: type[Record]) -> type[Record]:
     cls = dataclass(frozen=True, eq=False)(cls)
     names = [entry.name for entry in fields(cls)]  # type: ignore[arg-type]
 
-    def unflatten(values: Any, _: Any) -> Record:  # noqa: ANN401
+    def unflatten(values: Any, _: Any) -> Record:
         # torch.func rebuilds records with ints and None in place of tensors; __init__ would refuse them.
         rebuilt = object.__new__(cls)
         for name, value in zip(names, values, strict=True):

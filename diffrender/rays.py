@@ -1,20 +1,18 @@
 """Rays, and the camera models that turn a pixel into one.
 
-Directions follow the library's conventions: z up, +x the horizontal direction under the centre of the picture, +y to its
-left, pixel centres at +0.5, row 0 on top.
+Directions follow the library's conventions: z up, +x the horizontal direction under the centre of the picture, +y to
+its left, pixel centres at +0.5, row 0 on top.
 """
 
 import math
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
 from diffrender.parameters import record
-
-
 
 
 @record
@@ -26,6 +24,7 @@ class Rays:
     length: Float[Tensor, "*#batch"]
 
 
+@runtime_checkable  # the tests check argument types at run time
 class Camera(Protocol):
     """What a picture's pixels saw: one direction and one solid angle each."""
 
@@ -48,7 +47,7 @@ class Camera(Protocol):
 
 
 def pixel_centres(camera: Camera, rows: slice, like: Tensor) -> tuple[Float[Tensor, "h w"], Float[Tensor, "h w"]]:
-    """x and y of every pixel's centre in a band of rows."""
+    """Place (x, y) of every pixel's centre in a band of rows."""
     y = torch.arange(*rows.indices(camera.height)).to(like) + 0.5
     x = torch.arange(camera.width).to(like) + 0.5
     columns, lines = torch.meshgrid(x, y, indexing="xy")
@@ -62,15 +61,18 @@ def from_angles(elevation: Float[Tensor, "*batch"], azimuth: Float[Tensor, "*bat
     tensor([0., 1., 0.])
     """
     level = torch.cos(elevation)
-    return torch.stack(
-        torch.broadcast_tensors(level * torch.cos(azimuth), level * torch.sin(azimuth), torch.sin(elevation)), -1
-    )
+    return torch.stack([level * torch.cos(azimuth), level * torch.sin(azimuth), torch.sin(elevation)], -1)
 
 
 def angles(direction: Float[Tensor, "*batch 3"]) -> tuple[Float[Tensor, "*batch"], Float[Tensor, "*batch"]]:
     """Elevation above the horizon and azimuth from +x towards +y [rad] of a direction; the inverse of `from_angles`."""
     x, y, z = direction.unbind(-1)
     return torch.atan2(z, torch.hypot(x, y)), torch.atan2(y, x)
+
+
+def _unit(towards: Float[Tensor, "*batch 3"]) -> Float[Tensor, "*batch 3"]:
+    length: Tensor = torch.linalg.vector_norm(towards, dim=-1, keepdim=True)
+    return towards / length
 
 
 @dataclass(frozen=True)
@@ -115,7 +117,7 @@ class Perspective:
         left, up = self._on_plane(x, y)
         forward = torch.cos(left.new_tensor(self.pitch)), torch.sin(left.new_tensor(self.pitch))
         towards = torch.stack([forward[0] - up * forward[1], left, forward[1] + up * forward[0]], -1)
-        return towards / torch.linalg.vector_norm(towards, dim=-1, keepdim=True)
+        return _unit(towards)
 
     def solid_angle(self, x: Float[Tensor, "*batch"], y: Float[Tensor, "*batch"]) -> Float[Tensor, "*batch"]:
         """Solid angle of the pixel round a place [sr], by the density at its centre."""
@@ -154,7 +156,8 @@ FACES = {
 class Cubemap:
     """Six square faces on a grid of cells; a cell without a face shows nothing.
 
-    `layout` names the face of each cell, row by row; "back turned" is the back face upside down, as in a standing cross.
+    `layout` names the face of each cell, row by row; "back turned" is the back face upside down, as in a standing
+    cross.
     """
 
     side: int  # of a face, in pixels
@@ -175,7 +178,7 @@ class Cubemap:
         cell, across, down = self._in_cell(x, y)
         normal, right, below = self._axes(x).unbind(-2)
         towards = normal[cell] + across[..., None] * right[cell] + down[..., None] * below[cell]
-        return towards / torch.linalg.vector_norm(towards, dim=-1, keepdim=True)
+        return _unit(towards)
 
     def solid_angle(self, x: Float[Tensor, "*batch"], y: Float[Tensor, "*batch"]) -> Float[Tensor, "*batch"]:
         """Solid angle of the pixel round a place [sr]; 0 where a cell shows nothing."""
@@ -187,18 +190,19 @@ class Cubemap:
     def place(self, direction: Float[Tensor, "*batch 3"]) -> Float[Tensor, "*batch 2"]:
         """Where a direction appears; a whole cubemap shows every direction."""
         axes, shows = self._axes(direction), self._shows(direction)
-        along = (axes[:, 0] @ direction[..., None, :, None].swapaxes(-3, -2)[..., 0, :, :]).squeeze(-1)
-        along = torch.where(shows, along, along.new_tensor(-1.0))
+        along = torch.where(shows, direction @ axes[:, 0].mT, direction.new_tensor(-1.0))
         ahead, cell = along.max(-1)
         across = (axes[cell, 1] * direction).sum(-1) / ahead
         down = (axes[cell, 2] * direction).sum(-1) / ahead
         columns = len(self.layout[0])
-        x = (torch.remainder(cell, columns) + (across + 1.0) / 2.0) * self.side
-        y = (torch.div(cell, columns, rounding_mode="floor") + (down + 1.0) / 2.0) * self.side
-        return torch.stack([x, y], -1)
+        start = torch.stack([cell % columns, cell // columns], -1).to(direction) * self.side
+        seen = start + (torch.stack([across, down], -1) + 1.0) / 2.0 * self.side
+        # A border belongs to the cell after it, which may show something else or nothing.
+        return torch.minimum(seen, torch.nextafter(start + self.side, start))
 
     def _in_cell(self, x: Tensor, y: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-        column, row = torch.floor(x / self.side), torch.floor(y / self.side)
+        column = torch.floor(x / self.side).clamp(0, len(self.layout[0]) - 1)
+        row = torch.floor(y / self.side).clamp(0, len(self.layout) - 1)
         cell = (row * len(self.layout[0]) + column).long()
         return cell, 2.0 * (x / self.side - column) - 1.0, 2.0 * (y / self.side - row) - 1.0
 
@@ -225,6 +229,8 @@ CROSS_STANDING = (
     (None, "down", None),
     (None, "back turned", None),
 )
-# OpenEXR and OpenGL order: +X, -X, +Y, -Y, +Z, -Z with +X right, +Y up and +Z in front.
+# OpenGL's order of faces: +X, -X, +Y, -Y, +Z, -Z, its left-handed axes pointing right, up and ahead.
 STRIP_LYING = (("right", "left", "up", "down", "front", "back"),)
 STRIP_STANDING = tuple((face,) for face in STRIP_LYING[0])
+# OpenEXR's envmap attribute: the same order, but its axes are right-handed, so with +Z ahead +X points left.
+STRIP_OPENEXR = tuple((face,) for face in ("left", "right", "up turned", "down turned", "front", "back"))

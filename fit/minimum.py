@@ -1,15 +1,26 @@
-"""What every solver is given and gives back: an objective over the unit cube, a budget, a minimum."""
+"""What a solver is given and gives back: objective, budget, minimum; and the watch over its search of the unit cube."""
 
+import math
 import time
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass, field
 from typing import Protocol
 
 import numpy as np
+import torch
 from jaxtyping import Float64
 from torch import Tensor
 
+from fit.gauss_newton import QuadraticModel, half_square
+
 Point = Float64[np.ndarray, " n"]
+
+INTERRUPTED = "interrupted"  # the reason by which a caller knows to go no further
+
+# With some thousand residuals this share of the loss is half a standard error of one parameter.
+NEGLIGIBLE = 1e-4
+AT_BOUND = 1e-6  # so near a face of the cube a coordinate is tried on it
 
 
 class Objective(Protocol):
@@ -28,7 +39,7 @@ class Budget:
 
     evaluations: int = 400
     seconds: float | None = None
-    tolerance: float = 1e-6  # relative change of the point or of the loss
+    tolerance: float = 1e-6  # relative change of the loss, or change of the point
     seed: int = 0
 
 
@@ -38,43 +49,111 @@ class Minimum:
 
     point: Point
     loss: float  # half the sum of squares
-    history: tuple[float, ...]  # loss of each evaluation, in order
+    history: tuple[float, ...]  # loss of each evaluation, in order; infinite where it was not finite
     converged: bool
     reason: str
     iterations: int
-    evaluations: int
+    evaluations: int  # points at which the loss was asked for; a derivative at the same point is not another
 
 
-class OutOfBudget(Exception):  # noqa: N818 - a signal between `Watch` and the solver around it, never seen outside
+@dataclass(frozen=True)
+class Ending:
+    """How a search ended of itself."""
+
+    reason: str
+    converged: bool
+
+
+class OutOfBudget(Exception):  # noqa: N818 - a signal between `Watch` and `watched`, never seen outside
     """Evaluations or seconds are used up."""
 
 
 @dataclass
 class Watch:
-    """Remembers the best point of a run, however the solver around it ends."""
+    """Evaluates an objective for a search and remembers the best point, however the search ends."""
 
+    objective: Objective
     budget: Budget
     best: Point | None = None
-    loss: float = np.inf
+    loss: float = math.inf  # of the best
+    worst: float = 0.0  # greatest finite loss
+    iterations: int = 0
     history: list[float] = field(default_factory=list)
-    began: float = field(default_factory=time.monotonic)
     clock: Callable[[], float] = time.monotonic
+    began: float = field(init=False)
+    latest: Point | None = None
+    latest_model: QuadraticModel | None = None
 
-    def saw(self, point: Point, loss: float) -> None:
-        """Note one evaluation.
+    def __post_init__(self) -> None:
+        """Start the clock."""
+        self.began = self.clock()
+
+    def evaluate(self, point: Point) -> float:
+        """Loss at a point, infinite where it is not finite.
 
         Raises:
-            OutOfBudget: when the budget allows no further one.
+            OutOfBudget: when the budget allows no further evaluation.
         """
-        self.history.append(loss)
-        if loss < self.loss:
-            self.best, self.loss = point.copy(), loss
-        if len(self.history) >= self.budget.evaluations:
-            raise OutOfBudget("evaluations used up")
-        if self.budget.seconds is not None and self.clock() - self.began > self.budget.seconds:
-            raise OutOfBudget("seconds used up")
+        loss = half_square(self.objective.residuals(torch.tensor(point)))
+        self._saw(point, loss)
+        return loss
 
-    def minimum(self, reason: str, iterations: int, *, converged: bool) -> Minimum:
+    def model(self, point: Point) -> QuadraticModel:
+        """Loss, gradient and curvature at a point; not another evaluation at the point evaluated last.
+
+        Raises:
+            OutOfBudget: when the budget allows no further evaluation.
+        """
+        if self.latest_model is not None and np.array_equal(self.latest_model.point, point):
+            return self.latest_model
+        model = QuadraticModel(point.copy(), *self.objective.jacobian(torch.tensor(point)))
+        self.latest_model = model
+        if self.latest is None or not np.array_equal(self.latest, point):
+            self._saw(point, model.loss)
+        return model
+
+    def finite_start(self, start: Point) -> Point:
+        """The start, or where the loss is not finite there, the first finite point on the way to the cube's middle.
+
+        Raises:
+            FloatingPointError: when there is none.
+            OutOfBudget: when the budget allows no further evaluation.
+        """
+        for share in (0.0, 0.5, 1.0):
+            point = start + share * (0.5 - start)
+            if self.model(point).is_finite:
+                return point
+        raise FloatingPointError("the loss is finite neither at the start nor on the way to the middle of the bounds")
+
+    @property
+    def penalty(self) -> float:
+        """What a search that cannot take infinity is told instead: finite, and worse than all it has seen."""
+        return 10.0 * self.worst + 1.0
+
+    def is_settled(self) -> bool:
+        """Whether a Gauss-Newton step from the best point promises no gain worth having."""
+        if self.best is None:
+            return False
+        model = QuadraticModel(self.best, *self.objective.jacobian(torch.tensor(self.best)))
+        if not model.is_finite:
+            return False
+        # Where residuals can vanish, a step promises all that is left; the loss at the start is the scale there.
+        first = next(loss for loss in self.history if math.isfinite(loss))
+        worth = max(NEGLIGIBLE * self.loss, self.budget.tolerance * first)
+        return model.decrease(model.lowest(damping=0.0)) <= worth
+
+    def settle_on_bounds(self) -> None:
+        """Move coordinates that nearly touch their bound onto it, where the loss does not grow."""
+        if self.best is None:
+            return
+        for axis in range(self.best.size):
+            bound = round(float(self.best[axis]))
+            if 0.0 < abs(self.best[axis] - bound) <= AT_BOUND:
+                moved = self.best.copy()
+                moved[axis] = bound
+                self.evaluate(moved)
+
+    def minimum(self, ending: Ending) -> Minimum:
         """Best point seen.
 
         Raises:
@@ -82,4 +161,54 @@ class Watch:
         """
         if self.best is None:
             raise FloatingPointError("the loss was not finite anywhere")
-        return Minimum(self.best, self.loss, tuple(self.history), converged, reason, iterations, len(self.history))
+        history = tuple(self.history)
+        return Minimum(
+            self.best, self.loss, history, ending.converged, ending.reason, self.iterations, evaluations=len(history)
+        )
+
+    def _saw(self, point: Point, loss: float) -> None:
+        self.latest = point.copy()
+        self.history.append(loss)
+        if math.isfinite(loss):
+            self.worst = max(self.worst, loss)
+            if loss <= self.loss:
+                self.best, self.loss = self.latest, loss
+        if len(self.history) >= self.budget.evaluations:
+            raise OutOfBudget("evaluations used up")
+        if self.budget.seconds is not None and self.clock() - self.began > self.budget.seconds:
+            raise OutOfBudget("seconds used up")
+
+
+Search = Callable[[Watch, Point], Ending]
+
+
+def watched(search: Search, objective: Objective, start: Point, budget: Budget) -> Minimum:
+    """Minimum that a search comes to from a start, however it ends.
+
+    The first KeyboardInterrupt ends the search; the best point so far is returned as not converged, with the reason
+    INTERRUPTED. It is passed on where nothing was evaluated yet.
+
+    Raises:
+        FloatingPointError: when the loss was not finite at the start, nor on the way to the middle of the cube.
+    """
+    watch = Watch(objective, budget)
+    try:
+        ending = _ending(search, watch, np.clip(np.asarray(start, dtype=np.float64), 0.0, 1.0))
+    except KeyboardInterrupt:
+        if watch.best is None:
+            raise
+        ending = Ending(INTERRUPTED, converged=False)
+    return watch.minimum(ending)
+
+
+def _ending(search: Search, watch: Watch, start: Point) -> Ending:
+    try:
+        if start.size == 0:
+            watch.evaluate(start)
+            return Ending("nothing to search", converged=True)
+        ending = search(watch, watch.finite_start(start))
+    except OutOfBudget as stop:
+        return Ending(str(stop), watch.is_settled())
+    with suppress(OutOfBudget):  # the search has ended; what remains of the budget only polishes
+        watch.settle_on_bounds()
+    return ending

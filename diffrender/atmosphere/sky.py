@@ -1,0 +1,301 @@
+"""The sky: air, haze and ozone lit by the sun, with an overcast layer mixed in.
+
+Tables of in-scatter without phase functions, applied when they are looked up, follow [1]; the haziness and the mixture of
+clear and overcast sky follow [2]; the series over orders of scattering is [3]; the overcast gradation is [4].
+
+Gradient: exact in every parameter and in the sun's place. The ground's edge, below which the sky is black, is not differentiated.
+
+[1] G. de Carpentier, K. Ishiyama, "Decima Engine: advances in lighting and AA", SIGGRAPH 2017, slides 17-27.
+[2] M. Miyamoto, R. Driancourt, "Rendering techniques of Final Fantasy XV", SIGGRAPH 2016.
+[3] S. Hillaire, "A scalable and production ready sky and atmosphere rendering technique", EGSR, 2020.
+[4] P. Moon, D. Spencer, "Illumination from a non-uniform sky", 1942; ISO 15469:2004, sky type 16.
+"""
+
+import math
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from diffrender.atmosphere import multiple_scattering as multiple
+from diffrender.atmosphere import scattering
+from diffrender.atmosphere.scattering import Medium, Paths
+from diffrender.effect import Effect, Rung
+from diffrender.numerics import lookup, safe_sqrt
+from diffrender.parameters import parameter, record
+
+ROWS, COLUMNS, STEPS = 32, 6, 24  # of the table of rays
+_ROW_SCALE = 0.05  # share of the way to the zenith over which the rows are dense above the horizon
+_CLOUD_TOP = 2e3  # height at which an overcast layer is lit [m]
+_HAZE_ALBEDO = 0.9  # share of the haze's extinction that is scattering, Bruneton and Neyret 2008
+
+
+@record
+class Sky:
+    """Air and clouds of a whole sky; scalars, and colours with three channels."""
+
+    haziness: Float[Tensor, ""] = parameter(
+        0.76, bounds=(0.0, 0.99), unit="1",
+        about="asymmetry g of the haze: turned up, its glow gathers round the sun",
+    )  # fmt: skip
+    mie_scale: Float[Tensor, ""] = parameter(
+        1.0, bounds=(1e-2, 1e2), unit="1", scale="log",
+        about="haze in units of a clear day's: turned up, the sky turns pale from the horizon up",
+    )  # fmt: skip
+    mie_colour_exponent: Float[Tensor, ""] = parameter(
+        1.3, bounds=(-2.0, 4.0), unit="1",
+        about="Angstrom exponent of the haze: 0 white, 2 blue smoke, negative browns the light that passes",
+    )  # fmt: skip
+    coarse_scale: Float[Tensor, ""] = parameter(
+        0.05, bounds=(1e-3, 1e2), unit="1", scale="log",
+        about="large particles (dust, sea salt, ice) in units of a clear day's haze: a white aureole",
+    )  # fmt: skip
+    coarse_haziness: Float[Tensor, ""] = parameter(
+        0.9, bounds=(0.3, 0.99), unit="1", about="asymmetry g of the large particles: width of the aureole",
+    )  # fmt: skip
+    rayleigh_scale: Float[Tensor, ""] = parameter(
+        1.0, bounds=(0.1, 10.0), unit="1", scale="log",
+        about="air in units of the earth's at sea level: turned up, a deeper sky and a redder low sun",
+    )  # fmt: skip
+    rayleigh_colour_exponent: Float[Tensor, ""] = parameter(
+        4.0, bounds=(2.0, 6.5), unit="1",
+        about="power of the wavelength in the air's scattering; 4 for narrow channels, else the camera's colour separation",
+    )  # fmt: skip
+    ozone: Float[Tensor, ""] = parameter(
+        1.0, bounds=(0.0, 6.0), unit="1", about="ozone in units of the earth's: bluer twilight",
+    )  # fmt: skip
+    ground_albedo: Float[Tensor, ""] = parameter(
+        0.2, bounds=(0.0, 1.0), unit="1", about="share of light that the ground returns: brightens the sky from below",
+    )  # fmt: skip
+    overcast: Float[Tensor, ""] = parameter(
+        0.0, bounds=(0.0, 1.0), unit="1", about="share of the sky's light that comes from an even cloud layer",
+    )  # fmt: skip
+    overcast_transmittance: Float[Tensor, "3"] = parameter(
+        (0.35, 0.35, 0.35), bounds=(1e-3, 4.0), unit="1", scale="log",
+        about="share of the light from above that the cloud layer lets through: its brightness and colour",
+    )  # fmt: skip
+    overcast_ahead: Float[Tensor, ""] = parameter(
+        0.0, bounds=(-4.0, 4.0), unit="1", about="growth of the log odds of the overcast share towards +x",
+    )  # fmt: skip
+    overcast_left: Float[Tensor, ""] = parameter(
+        0.0, bounds=(-4.0, 4.0), unit="1", about="growth of the log odds of the overcast share towards +y",
+    )  # fmt: skip
+
+
+@record
+class SkyView:
+    """What is looked at: directions from one eye, and the sun above the air, its irradiance already exposed."""
+
+    direction: Float[Tensor, "*batch 3"]
+    to_sun: Float[Tensor, "3"]
+    irradiance: Float[Tensor, "3"]  # [W/m^2]
+    eye_altitude: Float[Tensor, ""]  # [m]
+
+
+@record
+class Geometry:
+    """Rays of the tables, which depend on the eye and the sun but on no parameter of the sky."""
+
+    rays: Paths  # (rows, columns)
+    around: Paths  # of the table of mean radiance
+    cloud_column: Float[Tensor, "3"]  # from the cloud layer to the sun [m]
+    cloud_sun: Float[Tensor, ""]  # sunlight on the layer's top, by angle alone
+    cos_sun: Float[Tensor, ""]
+
+
+@record
+class SkyTables:
+    """Sky per irradiance of the sun [1/sr], before phase functions; what a fit evaluates again and again."""
+
+    in_scatter: Float[Tensor, "rows columns 3 3"]  # by air, by haze, and of higher orders
+    cloud: Float[Tensor, "3"]  # radiance at the zenith of an overcast layer that lets all light through
+
+
+@record
+class TabledView:
+    """A view with its tables."""
+
+    view: SkyView
+    tables: SkyTables
+
+
+def medium(sky: Sky) -> Medium:
+    """Coefficients of the shell [1/m] under a sky's parameters."""
+    like = sky.haziness
+    ratio = torch.log(like.new_tensor(scattering.WAVELENGTH) / scattering.WAVELENGTH[1])
+    fine, coarse = _haze_parts(sky, ratio)
+    haze = fine + coarse
+    return Medium(
+        rayleigh=sky.rayleigh_scale
+        * torch.exp((4.0 - sky.rayleigh_colour_exponent) * ratio)
+        * like.new_tensor(scattering.RAYLEIGH),
+        haze=haze,
+        haze_scattering=_HAZE_ALBEDO * haze,
+        ozone=sky.ozone * like.new_tensor(scattering.OZONE),
+        ground_albedo=sky.ground_albedo,
+    )
+
+
+def _haze_parts(sky: Sky, log_wavelength: Tensor) -> tuple[Tensor, Tensor]:
+    fine = scattering.HAZE * sky.mie_scale * torch.exp(-sky.mie_colour_exponent * log_wavelength)
+    return fine, scattering.HAZE * sky.coarse_scale * torch.ones_like(log_wavelength)
+
+
+def geometry(view: SkyView, rows: int = ROWS, columns: int = COLUMNS, steps: int = STEPS) -> Geometry:
+    """Rays of the tables for an eye and a sun; kept by fits, where neither moves."""
+    like = view.direction
+    cos_sun = view.to_sun[2]
+    rise = _ROW_SCALE * torch.expm1(torch.linspace(0.0, math.log1p(1.0 / _ROW_SCALE), rows).to(like))
+    lowest = _horizon(view.eye_altitude)
+    # A thousandth of a degree above the ground's edge, where rays still leave for space.
+    elevation = lowest + 2e-5 + (math.pi / 2.0 - 2e-5 - lowest) * rise
+    cos_view = torch.sin(elevation)[:, None]
+    level = torch.cos(elevation)[:, None] * safe_sqrt(1.0 - cos_sun * cos_sun)
+    cos_angle = cos_view * cos_sun + level * torch.linspace(-1.0, 1.0, columns).to(like)
+    ground = torch.zeros_like(cos_view)
+    top = torch.full_like(cos_sun, _CLOUD_TOP)
+    return Geometry(
+        rays=scattering.paths(view.eye_altitude + ground, cos_view, cos_sun + ground, cos_angle, steps),
+        around=multiple.table_paths(like),
+        cloud_column=scattering.column(top, cos_sun),
+        cloud_sun=torch.relu(cos_sun) * scattering.sunlit(top, cos_sun),
+        cos_sun=cos_sun,
+    )
+
+
+def tables(sky: Sky, fixed: Geometry) -> SkyTables:
+    """Tables of a sky: its in-scatter in every direction from the eye, phase functions left out."""
+    air = medium(sky)
+    mean = multiple.mean_radiance(air, fixed.around)
+    return SkyTables(_in_scatter(air, fixed.rays, mean), _cloud(air, fixed, mean))
+
+
+def _in_scatter(air: Medium, rays: Paths, mean: Tensor | None) -> Float[Tensor, "*batch 3 3"]:
+    """Light per irradiance [1/sr] scattered by air and by haze, without phase functions, and of higher orders."""
+    weights, _ = scattering.step_weights(air, rays)
+    direct = weights * scattering.transmittance(air, rays.sun_column) * rays.sunlit
+    by_air = (direct * rays.density[..., :1]).sum(-2) * air.rayleigh
+    by_haze = (direct * rays.density[..., 1:2]).sum(-2) * air.haze_scattering
+    if mean is None:
+        higher = torch.zeros_like(by_air)
+    else:
+        around = multiple.look_up(mean, rays.height, rays.cos_sun)
+        higher = (weights * (rays.density @ air.scattering()) * around).sum(-2)
+    return torch.stack([by_air, by_haze, higher], -2)
+
+
+def _cloud(air: Medium, fixed: Geometry, mean: Tensor) -> Float[Tensor, "3"]:
+    # Lit by the sun and by half a sphere of mean radiance; 7 pi / 9 turns an irradiance into a zenith radiance [4].
+    top = fixed.cos_sun.new_tensor(_CLOUD_TOP)
+    direct = scattering.transmittance(air, fixed.cloud_column) * fixed.cloud_sun
+    return (direct + math.pi * multiple.look_up(mean, top, fixed.cos_sun)) * 9.0 / (7.0 * math.pi)
+
+
+def prepare(sky: Sky, view: SkyView) -> TabledView:
+    """Tables for one eye and sun, from which any number of pictures is drawn."""
+    return TabledView(view, tables(sky, geometry(view)))
+
+
+def render_tables(sky: Sky, prepared: TabledView) -> Float[Tensor, "*batch 3"]:
+    """Radiance of the sky [W/(m² sr)] from tables: a lookup, two phase functions and the overcast share for each pixel.
+
+    Black below the ground's edge. Within 2 % of `render` for a sun above the horizon.
+    """
+    view = prepared.view
+    lowest = _horizon(view.eye_altitude)
+    above = (_elevation(view.direction) - lowest) / (math.pi / 2.0 - lowest)
+    rows, columns = prepared.tables.in_scatter.shape[:2]
+    # Half the smallest step below the horizon, so that the logarithm stays finite where the picture is black.
+    row = torch.log1p(torch.clamp(above, min=-0.02) / _ROW_SCALE) / math.log1p(1.0 / _ROW_SCALE) * (rows - 1)
+    column = (0.5 + 0.5 * _cos_azimuth(view)) * (columns - 1)
+    found = lookup(prepared.tables.in_scatter, row, column)
+    return _compose(sky, view, found, prepared.tables.cloud)
+
+
+def render(sky: Sky, marched: "MarchedView") -> Float[Tensor, "*batch 3"]:
+    """Radiance of the sky [W/(m² sr)], each ray marched through the shell; light scattered more than once included.
+
+    Black below the ground's edge.
+    """
+    rays = _rays(marched.view, 48)
+    return _compose(sky, marched.view, _in_scatter(medium(sky), rays, marched.mean), marched.cloud)
+
+
+def render_single(sky: Sky, view: SkyView) -> Float[Tensor, "*batch 3"]:
+    """The same with light scattered once only: too dark and too blue, by half at low sun."""
+    air = medium(sky)
+    found = _in_scatter(air, _rays(view, 48), None)
+    fixed = geometry(view, rows=2, columns=2, steps=2)
+    dark = torch.zeros_like(fixed.around.density[..., 0, 0, 0, :])
+    return _compose(sky, view, found, _cloud(air, fixed, dark))
+
+
+@record
+class MarchedView:
+    """A view with the mean radiance round every point of the shell."""
+
+    view: SkyView
+    mean: Float[Tensor, "heights suns 3"]
+    cloud: Float[Tensor, "3"]
+
+
+def prepare_march(sky: Sky, view: SkyView) -> MarchedView:
+    """Table of higher orders, from which rays are marched."""
+    air = medium(sky)
+    fixed = geometry(view, rows=2, columns=2, steps=2)
+    mean = multiple.mean_radiance(air, fixed.around)
+    return MarchedView(view, mean, _cloud(air, fixed, mean))
+
+
+def skip(sky: Sky, view: SkyView) -> Float[Tensor, "*batch 3"]:
+    """No sky: black."""
+    return torch.zeros_like(view.direction) * sky.haziness
+
+
+def _rays(view: SkyView, steps: int) -> Paths:
+    flat = torch.zeros_like(view.direction[..., 2])
+    cos_angle = 1.0 - 0.5 * _chord_square(view)
+    return scattering.paths(view.eye_altitude + flat, view.direction[..., 2], view.to_sun[2] + flat, cos_angle, steps)
+
+
+def _compose(sky: Sky, view: SkyView, found: Tensor, cloud: Tensor) -> Float[Tensor, "*batch 3"]:
+    chord_square = _chord_square(view)
+    by_air, by_haze, higher = found.unbind(-2)
+    ratio = torch.log(sky.haziness.new_tensor(scattering.WAVELENGTH) / scattering.WAVELENGTH[1])
+    fine, coarse = _haze_parts(sky, ratio)
+    fine_phase = scattering.cornette_shanks(chord_square, sky.haziness)
+    coarse_phase = scattering.cornette_shanks(chord_square, sky.coarse_haziness)
+    phase = torch.lerp(fine_phase[..., None], coarse_phase[..., None], coarse / (fine + coarse))
+    clear = by_air * scattering.rayleigh_phase(chord_square)[..., None] + by_haze * phase + higher
+    overcast = cloud * sky.overcast_transmittance * ((1.0 + 2.0 * view.direction[..., 2:]) / 3.0)
+    share = overcast_share(sky, view.direction)[..., None]
+    seen = (_elevation(view.direction) >= _horizon(view.eye_altitude))[..., None]
+    return torch.lerp(clear, overcast, share) * view.irradiance * seen
+
+
+def overcast_share(sky: Sky, direction: Float[Tensor, "*batch 3"]) -> Float[Tensor, "*batch"]:
+    """Share of the light from a direction that comes from the cloud layer, in [0, 1]."""
+    # Log odds that grow linearly over the ground plane, written so that shares of 0 and 1 stay exactly that.
+    odds = torch.exp(sky.overcast_ahead * direction[..., 0] + sky.overcast_left * direction[..., 1])
+    return sky.overcast * odds / (1.0 - sky.overcast + sky.overcast * odds)
+
+
+def _chord_square(view: SkyView) -> Tensor:
+    return (view.direction - view.to_sun).square().sum(-1)
+
+
+def _elevation(direction: Tensor) -> Tensor:
+    return torch.atan2(direction[..., 2], safe_sqrt(direction[..., :2].square().sum(-1)))
+
+
+def _horizon(eye_altitude: Tensor) -> Tensor:
+    """Elevation of the ground's edge [rad]: 0 for an eye on the ground, negative above."""
+    return torch.asin(scattering.horizon_cosine(eye_altitude))
+
+
+def _cos_azimuth(view: SkyView) -> Tensor:
+    """Cosine of the azimuth between view and sun; 0 at the zenith, where all azimuths look the same."""
+    across = (view.direction[..., :2] * view.to_sun[:2]).sum(-1)
+    square = view.direction[..., :2].square().sum(-1) * view.to_sun[:2].square().sum(-1)
+    apart = square > 1e-12
+    return torch.where(apart, across / torch.sqrt(torch.where(apart, square, torch.ones_like(square))), across * 0.0)

@@ -1,0 +1,283 @@
+"""`fit sky`: the air, haze and clouds of a scene fitted to the sky of one HDR photo."""
+
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
+from importlib.metadata import version
+from pathlib import Path
+
+import numpy as np
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from diffrender.atmosphere import sky
+from diffrender.colour import luminance
+from diffrender.parameters import specifications
+from diffrender.scene import Scene, places, sky_view, weather_names
+from fit import keyframes, sky_mask, sun
+from fit import photo as photos
+from fit.input_error import InputError
+from fit.minimum import INTERRUPTED, Budget, Minimum
+from fit.objective import Sample, SkyObjective
+from fit.photo import Photo
+from fit.pixels import Pixels, averaged, stratified, usable
+from fit.search_space import SearchSpace, value
+from fit.solution import Fitted, Solution, SunPlace
+from fit.solvers import Minimise, solver
+from fit.uncertainty import Uncertainty, patches, uncertainty
+from fit.weather_file import check
+
+SEARCHED = (
+    "SKY_HAZINESS",
+    "SKY_MIE_SCALE",
+    "SKY_MIE_COLOUR_EXPONENT",
+    "SKY_COARSE_SCALE",
+    "SKY_RAYLEIGH_SCALE",
+    "SKY_RAYLEIGH_COLOUR_EXPONENT",
+    "SKY_OVERCAST",
+    "SKY_OVERCAST_AHEAD",
+    "SKY_OVERCAST_LEFT",
+)
+# Where a search begins if no weather file says otherwise: a hazy day, from which every parameter has a slope.
+HAZY = {
+    "SKY_HAZINESS": 0.55,
+    "SKY_MIE_SCALE": 10.0,
+    "SKY_COARSE_SCALE": 0.5,
+    "SKY_RAYLEIGH_SCALE": 0.6,
+    "SKY_OVERCAST": 0.2,
+}
+COARSE = (20, 4, 14)  # rows, columns and steps of the tables of the search; the polish takes the effect's own
+COARSE_PIXELS, FINE_PIXELS = 1200, 3000
+
+
+@dataclass(frozen=True)
+class Options:
+    """What may be asked of a fit.
+
+    Attributes:
+        mask: picture whose white pixels are used; None finds the sky.
+        sun: where the sun stands; None finds it.
+        start: scene to begin at, whose values stay where they are not searched.
+        fixed: names of weather files held at values in files' units.
+        free: further names to search.
+        solver: as on the command line.
+        seconds: after which the best so far is taken; None gives the same result on every machine.
+        seed: of the sample of pixels and of solvers that draw.
+    """
+
+    mask: Path | None = None
+    sun: SunPlace | None = None
+    start: Scene | None = None
+    fixed: Mapping[str, float] = field(default_factory=dict)
+    free: tuple[str, ...] = ()
+    solver: str = "least-squares"
+    seconds: float | None = None
+    seed: int = 0
+
+
+def fit(photo: Photo | Path, options: Options | None = None) -> Solution:
+    """Scene whose sky looks like the photo's, with the sun where the photo has it, and the account of the fit.
+
+    Raises:
+        InputError: when the photo, the mask or an option cannot be used; the message says what to do.
+    """
+    options = options or Options()
+    began = time.monotonic()
+    minimise = solver(options.solver)
+    photo = photo if isinstance(photo, Photo) else photos.read(photo)
+    place = options.sun or sun.find(photo)
+    mask = sky_mask.read(options.mask, photo) if options.mask else sky_mask.find(photo, place)
+    used = usable(photo, mask.used)
+    pixels = averaged(photo, used)
+    _check(pixels)
+    space = _space(options, place)
+    read = time.monotonic()
+    minimum = _search(space, pixels, options, minimise)
+    scene, error, known = _account(space, pixels, minimum, options.seed)
+    solved = time.monotonic()
+    parameters = _parameters(scene, space, known, options)
+    kept = [index for index, name in enumerate(space.free) if parameters[name].determined]
+    return Solution(
+        effect="sky",
+        photo=photo.path.name,
+        camera=photo.camera,
+        notes=(*photo.notes, mask.how),
+        scene=scene,
+        parameters=parameters,
+        correlated=tuple(space.free[index] for index in kept),
+        correlation=known.correlation[np.ix_(kept, kept)],
+        sun=place,
+        gains=_gains(scene),
+        used=used,
+        pixels={"used": int(used.sum()), "masked": used.size - int(used.sum()), **photo.counts()},
+        left_out=_left_out(space, known),
+        error=error,
+        minimum=minimum,
+        solver=options.solver,
+        seed=options.seed,
+        seconds={"read": read - began, "solve": solved - read},
+        versions={name: version(name) for name in ("diffrender", "torch", "numpy", "scipy", "nlopt")},
+    )
+
+
+def _check(pixels: Pixels) -> None:
+    count = int(pixels.used.sum())
+    if count < 30:
+        raise InputError(f"only {count} usable pixels of sky are left; give --mask with white where the sky is")
+    if not float(pixels.radiance[pixels.used].median()) > 0.0:
+        raise InputError("the photo is black where the sky is; give an exposed photo or another --mask")
+
+
+def _space(options: Options, place: SunPlace) -> SearchSpace:
+    known = weather_names()
+    for name in (*options.fixed, *options.free):
+        if name not in known:
+            check(name, 0.0)
+    given = {**HAZY, "SUN_ELEVATION": place.elevation, "SUN_AZIMUTH": place.azimuth}
+    if options.start is not None:
+        given = {**keyframes.values(options.start), **{n: given[n] for n in ("SUN_ELEVATION", "SUN_AZIMUTH")}}
+    given |= options.fixed
+    names = dict.fromkeys((*SEARCHED, *options.free))
+    free = tuple(name for name in names if name not in options.fixed)
+    for name in free:
+        if name.startswith(("EXPOSURE", "SUN_IRRADIANCE")):
+            raise InputError(f"--free {name}: the photo's gains are found in closed form; leave it out")
+    # An irradiance of 1: the gains found later are the exposed sun's.
+    ones = {name: 1.0 for name in known if name.startswith("SUN_IRRADIANCE")}
+    return SearchSpace(keyframes.scene({**given, **ones, "EXPOSURE": 1.0}, torch.float64), free)
+
+
+def _search(space: SearchSpace, pixels: Pixels, options: Options, minimise: Minimise) -> Minimum:
+    """Minimum on few pixels and coarse tables, polished on more and finer ones."""
+    budget = Budget(seconds=options.seconds, seed=options.seed, tolerance=1e-4)
+    rough = minimise(_objective(space, pixels, COARSE_PIXELS, COARSE, options.seed), _start(space), budget)
+    if rough.reason == INTERRUPTED:
+        return rough
+    fine = minimise(_objective(space, pixels, FINE_PIXELS, (), options.seed + 1), rough.point, budget)
+    return replace(
+        fine,
+        history=(*rough.history, *fine.history),
+        iterations=rough.iterations + fine.iterations,
+        evaluations=rough.evaluations + fine.evaluations,
+    )
+
+
+def _start(space: SearchSpace) -> Float[np.ndarray, " n"]:
+    # Off the faces of the cube, where logs have no slope and shares could not shrink.
+    return np.clip(space.point(space.start), 0.01, 0.99)
+
+
+def _objective(space: SearchSpace, pixels: Pixels, count: int, size: tuple[int, ...], seed: int) -> SkyObjective:
+    chosen = stratified(pixels, count, seed)
+    return SkyObjective(space, _sample(pixels, chosen), _geometry(space, size))
+
+
+def _sample(pixels: Pixels, chosen: Tensor) -> Sample:
+    radiance = pixels.radiance[pixels.used][chosen].double()
+    direction = pixels.direction[pixels.used][chosen].double()
+    return Sample(direction, torch.log(radiance + pixels.floor), pixels.floor)
+
+
+def _geometry(space: SearchSpace, size: tuple[int, ...]) -> Callable[[Scene], sky.Geometry]:
+    """Rays of the tables of a scene; worked out once where the sun is not searched."""
+
+    def rays(scene: Scene) -> sky.Geometry:
+        return sky.geometry(sky_view(scene, torch.zeros(1, 3, dtype=torch.float64)), *size)
+
+    if any(name.startswith("SUN_") for name in space.free):
+        return rays
+    kept = rays(space.start)
+    return lambda _: kept
+
+
+def _account(
+    space: SearchSpace, pixels: Pixels, minimum: Minimum, seed: int
+) -> tuple[Scene, float, Uncertainty]:
+    """Scene with its gains, its error over all used pixels, and how well each coordinate is determined."""
+    point = torch.from_numpy(minimum.point)
+    objective = _objective(space, pixels, FINE_PIXELS, (), seed + 1)
+    residuals, slopes = objective.jacobian(point)
+    count = objective.sample.direction.shape[0] * 3
+    known = uncertainty(residuals[:count], slopes[:count], patches(objective.sample.direction), minimum.point)
+    whole = replace(objective, sample=_sample(pixels, torch.arange(int(pixels.used.sum()))))
+    weight = pixels.solid_angle[pixels.used].double()
+    gains, error = _closed_form_gains(whole.radiance(point), whole.sample, weight / weight.sum())
+    return _exposed(space.scene(point), gains), error, known
+
+
+def _closed_form_gains(
+    model: Float[Tensor, "n 3"], sample: Sample, weight: Float[Tensor, " n"]
+) -> tuple[Float[Tensor, "3"], float]:
+    """Gain of each channel that makes the weighted mean square of log differences least, and that mean square."""
+    log_gain = (weight[:, None] * (sample.log_radiance - torch.log(model))).sum(0)
+    for _ in range(4):
+        # Newton: the floor alone keeps the first guess from being exact.
+        lit = torch.exp(log_gain) * model
+        difference = torch.log(lit + sample.floor) - sample.log_radiance
+        slope = lit / (lit + sample.floor)
+        step = (weight[:, None] * difference * slope).sum(0) / (weight[:, None] * slope.square()).sum(0)
+        log_gain = log_gain - step
+    difference = torch.log(torch.exp(log_gain) * model + sample.floor) - sample.log_radiance
+    return torch.exp(log_gain), float((weight[:, None] * difference.square()).sum() / 3.0)
+
+
+def _exposed(scene: Scene, gains: Float[Tensor, "3"]) -> Scene:
+    """Scene whose exposure and sun share the gains: the sun keeps its own luminance and takes the colour."""
+    plain = gains.new_tensor(specifications(type(scene.sun))["irradiance"].default)
+    exposure = luminance(gains) / luminance(plain)
+    return replace(
+        scene,
+        exposure=replace(scene.exposure, exposure=exposure),
+        sun=replace(scene.sun, irradiance=gains / exposure),
+    )
+
+
+def _gains(scene: Scene) -> tuple[float, float, float]:
+    red, green, blue = (float(gain) for gain in scene.exposure.exposure * scene.sun.irradiance)
+    return red, green, blue
+
+
+def _parameters(scene: Scene, space: SearchSpace, known: Uncertainty, options: Options) -> dict[str, Fitted]:
+    """Every parameter of the scene, in files' units."""
+    stands = places()
+    found = {}
+    for name, in_file in keyframes.values(scene).items():
+        specification = stands[name].specification
+        error, why = None, _unsearched(name, options)
+        if name in space.free:
+            index = space.free.index(name)
+            why = known.why[index] or "searched"
+            if not known.why[index]:
+                error = float(known.standard_error[index]) * _stretch(value(scene, stands[name]), name)
+        found[name] = Fitted(
+            value=in_file,
+            unit=specification.file_unit,
+            bounds=specification.file_bounds,
+            standard_error=error,
+            determined=error is not None or why == "closed form",
+            why=why,
+        )
+    return found
+
+
+def _stretch(now: Tensor, name: str) -> float:
+    """Change of a value in its file's unit for one whole range of the unit cube."""
+    specification = weather_names()[name]
+    low, high = specification.bounds
+    span = float(now) * float(np.log(high / low)) if specification.scale == "log" else high - low
+    return abs(span * specification.file_factor)
+
+
+def _unsearched(name: str, options: Options) -> str:
+    if name in options.fixed:
+        return "given"
+    if name.startswith(("EXPOSURE", "SUN_IRRADIANCE")):
+        return "closed form"
+    if name.startswith("SUN_"):
+        return "given" if options.sun else "seen in the photo"
+    return "kept" if options.start is not None else "default"
+
+
+def _left_out(space: SearchSpace, known: Uncertainty) -> dict[str, str]:
+    return {name: reason for name, reason in zip(space.free, known.why, strict=True) if reason}

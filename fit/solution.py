@@ -1,0 +1,58 @@
+"""Solution: what a fit found, how well each parameter is determined, and how it got there."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Bool, Float64
+
+from diffrender.rays import Camera
+from diffrender.scene import Scene
+from fit.minimum import Minimum
+
+
+@dataclass(frozen=True)
+class Fitted:
+    """One parameter of a solution, in the unit of weather files."""
+
+    value: float
+    unit: str
+    bounds: tuple[float, float]
+    standard_error: float | None  # None where the photo does not determine the parameter
+    determined: bool
+    why: str  # "searched", "closed form", "given", "default", "not determined by the photo", "at its lower bound" ...
+
+
+@dataclass(frozen=True)
+class SunPlace:
+    """Where the sun stands, in degrees, azimuth to the right of the picture's centre, and how that is known."""
+
+    elevation: float
+    azimuth: float
+    how: str
+    visible: bool
+
+
+@dataclass(frozen=True)
+class Solution:
+    """A fitted scene and the account of the fit."""
+
+    effect: str  # "sky"
+    photo: str  # file name of the photo, as given
+    camera: Camera
+    notes: tuple[str, ...]  # what was recognised, assumed or left aside, one sentence each
+    scene: Scene
+    parameters: Mapping[str, Fitted]  # weather-file name -> value; also what was not searched
+    correlated: tuple[str, ...]  # names of the determined searched parameters, in the order of `correlation`
+    correlation: Float64[np.ndarray, "n n"]
+    sun: SunPlace
+    gains: tuple[float, float, float]  # per channel, in closed form
+    used: Bool[np.ndarray, "height width"]  # pixels of the photo that the fit may look at
+    pixels: Mapping[str, int]  # used, masked, nonfinite, negative
+    left_out: Mapping[str, str]  # effect or parameter -> why
+    error: float  # E3: mean square of the difference of log radiance, solid-angle weighted, over the mask
+    minimum: Minimum
+    solver: str
+    seed: int
+    seconds: Mapping[str, float]  # read, solve, write
+    versions: Mapping[str, str]
