@@ -1,6 +1,8 @@
 """A scene: the exposure and one optional record per effect."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import cache
 from types import NoneType
 from typing import Any, get_args, get_type_hints
 
@@ -45,7 +47,8 @@ class Place:
     specification: Specification
 
 
-def places() -> dict[str, Place]:
+@cache
+def places() -> Mapping[str, Place]:
     """Every name that a weather file may hold, with where it stands and what is known of it, in drawing order."""
     found = {}
     for part, hint in get_type_hints(Scene).items():

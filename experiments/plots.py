@@ -14,7 +14,7 @@ def fit_accuracy(path: Path) -> None:
     content = json.loads(path.read_text(encoding="utf-8"))
     rows = sorted(content["records"], key=lambda row: float(row["ratio"]))
     places = range(len(rows))
-    figure = Figure(figsize=(8.0, 1.5 + 0.4 * len(rows)), layout="constrained")
+    figure = Figure(figsize=(9.0, 1.5 + 0.4 * len(rows)), layout="constrained")
     axes = figure.subplots()
     axes.barh([place - 0.2 for place in places], [row["ratio"] for row in rows], height=0.4, label="fitted sky")
     axes.barh(
@@ -34,7 +34,7 @@ def fit_accuracy(path: Path) -> None:
         xlabel="error E3 of log radiance over that of the better peer",
     )
     axes.invert_yaxis()
-    axes.legend(fontsize="small")
+    figure.legend(loc="outside upper center", ncols=5, fontsize="small")
     figure.savefig(path.with_suffix(".png"), dpi=120)
 
 
@@ -44,7 +44,7 @@ def peer_time(path: Path) -> None:
     rows = content["peer"]
     places = list(range(len(rows)))
     ratios = [row["ratio"] for row in rows]
-    figure = Figure(figsize=(8.0, 1.5 + 0.4 * len(rows)), layout="constrained")
+    figure = Figure(figsize=(9.0, 1.5 + 0.4 * len(rows)), layout="constrained")
     axes = figure.subplots()
     middle = [ratio["median"] for ratio in ratios]
     whiskers = [
@@ -59,5 +59,5 @@ def peer_time(path: Path) -> None:
         xlabel="solve time of Mitsuba 3's sunsky with L-BFGS-B over ours",
     )
     axes.invert_yaxis()
-    axes.legend(fontsize="small")
+    figure.legend(loc="outside upper center", ncols=5, fontsize="small")
     figure.savefig(path.with_suffix(".png"), dpi=120)

@@ -71,7 +71,7 @@ class QuadraticModel:
 def half_square(residuals: Tensor) -> float:
     """Half the sum of squares; infinite where it is not finite.
 
-    >>> half_square(torch.tensor([3.0, 4.0])), half_square(torch.tensor([0.0, torch.nan]))
+    >>> half_square(Tensor([3.0, 4.0])), half_square(Tensor([0.0, math.nan]))
     (12.5, inf)
     """
     loss = 0.5 * float(residuals @ residuals)

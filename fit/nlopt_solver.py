@@ -129,7 +129,7 @@ def _optimiser(algorithm: str, size: int, budget: Budget) -> Any:  # nlopt has n
     optimiser = nlopt.opt(getattr(nlopt, algorithm), size)
     optimiser.set_lower_bounds(np.zeros(size))
     optimiser.set_upper_bounds(np.ones(size))
-    optimiser.set_maxeval(budget.evaluations)  # STOGO does not hear force_stop
+    optimiser.set_maxeval(10 * budget.evaluations)  # for STOGO, which does not hear force_stop
     optimiser.set_ftol_rel(budget.tolerance)
     optimiser.set_xtol_abs(budget.tolerance)
     if "MLSL" in algorithm:

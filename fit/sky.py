@@ -11,18 +11,19 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from diffrender.atmosphere import sky
+from diffrender.atmosphere import celestial, sky
 from diffrender.colour import luminance
 from diffrender.parameters import specifications
 from diffrender.scene import Scene, places, sky_view, weather_names
 from fit import keyframes, sky_mask, sun
 from fit import photo as photos
 from fit.input_error import InputError
-from fit.minimum import INTERRUPTED, Budget, Minimum
+from fit.minimum import INTERRUPTED, Budget, Minimum, Point
 from fit.objective import Sample, SkyObjective
 from fit.photo import Photo
 from fit.pixels import Pixels, averaged, stratified, usable
 from fit.search_space import SearchSpace, value
+from fit.selection import begin, pinned_scene, undetermined, widened
 from fit.solution import Fitted, Solution, SunPlace
 from fit.solvers import Minimise, solver
 from fit.uncertainty import Uncertainty, patches, uncertainty
@@ -45,9 +46,19 @@ HAZY = {
     "SKY_MIE_SCALE": 10.0,
     "SKY_COARSE_SCALE": 0.5,
     "SKY_RAYLEIGH_SCALE": 0.6,
-    "SKY_OVERCAST": 0.2,
+    "SKY_OVERCAST": 0.05,
 }
-COARSE = (20, 4, 14)  # rows, columns and steps of the tables of the search; the polish takes the effect's own
+# What may take the place of searched parameters that a photo leaves open.
+POOL = (
+    "SKY_COARSE_HAZINESS",
+    "SKY_OZONE",
+    "SKY_GROUND_ALBEDO",
+    "SKY_OVERCAST_TRANSMITTANCE_R",
+    "SKY_OVERCAST_TRANSMITTANCE_B",
+)
+LEAN = 3.2  # towards the sun, of the clouds where a search begins
+COARSE = sky.Size(rows=20, columns=4, steps=14, heights=6, suns=12, steps_around=6)  # of the search's tables
+FINE = sky.Size()
 COARSE_PIXELS, FINE_PIXELS = 1200, 3000
 
 
@@ -91,12 +102,13 @@ def fit(photo: Photo | Path, options: Options | None = None) -> Solution:
     used = usable(photo, mask.used)
     pixels = averaged(photo, used)
     _check(pixels)
-    space = _space(options, place)
+    home = _home(options, place)
     read = time.monotonic()
-    minimum = _search(space, pixels, options, minimise)
+    found = _search(home, pixels, options, minimise)
+    space, minimum = found.space, found.minimum
     scene, error, known = _account(space, pixels, minimum, options.seed)
     solved = time.monotonic()
-    parameters = _parameters(scene, space, known, options)
+    parameters = _parameters(scene, found, known, options)
     kept = [index for index, name in enumerate(space.free) if parameters[name].determined]
     return Solution(
         effect="sky",
@@ -111,7 +123,7 @@ def fit(photo: Photo | Path, options: Options | None = None) -> Solution:
         gains=_gains(scene),
         used=used,
         pixels={"used": int(used.sum()), "masked": used.size - int(used.sum()), **photo.counts()},
-        left_out=_left_out(space, known),
+        left_out={**found.pinned, **_left_out(space, known)},
         error=error,
         minimum=minimum,
         solver=options.solver,
@@ -129,46 +141,89 @@ def _check(pixels: Pixels) -> None:
         raise InputError("the photo is black where the sky is; give an exposed photo or another --mask")
 
 
-def _space(options: Options, place: SunPlace) -> SearchSpace:
+def _home(options: Options, place: SunPlace) -> Scene:
+    """Scene of what is not searched: given values, those of the weather file to start at, defaults."""
     known = weather_names()
     for name in (*options.fixed, *options.free):
         if name not in known:
             check(name, 0.0)
-    given = {**HAZY, "SUN_ELEVATION": place.elevation, "SUN_AZIMUTH": place.azimuth}
-    if options.start is not None:
-        given = {**keyframes.values(options.start), **{n: given[n] for n in ("SUN_ELEVATION", "SUN_AZIMUTH")}}
-    given |= options.fixed
-    names = dict.fromkeys((*SEARCHED, *options.free))
-    free = tuple(name for name in names if name not in options.fixed)
-    for name in free:
         if name.startswith(("EXPOSURE", "SUN_IRRADIANCE")):
-            raise InputError(f"--free {name}: the photo's gains are found in closed form; leave it out")
+            raise InputError(f"{name} is the photo's gain and found in closed form; leave it out of --fix and --free")
+    given = keyframes.values(options.start) if options.start is not None else {"SKY_OVERCAST": 0.0}
     # An irradiance of 1: the gains found later are the exposed sun's.
-    ones = {name: 1.0 for name in known if name.startswith("SUN_IRRADIANCE")}
-    return SearchSpace(keyframes.scene({**given, **ones, "EXPOSURE": 1.0}, torch.float64), free)
+    ones = {name: 1.0 for name in known if name.startswith(("EXPOSURE", "SUN_IRRADIANCE"))}
+    sun_now = {"SUN_ELEVATION": place.elevation, "SUN_AZIMUTH": place.azimuth}
+    return keyframes.scene({**given, **ones, **sun_now, **options.fixed}, torch.float64)
 
 
-def _search(space: SearchSpace, pixels: Pixels, options: Options, minimise: Minimise) -> Minimum:
-    """Minimum on few pixels and coarse tables, polished on more and finer ones."""
+def _space(options: Options, home: Scene) -> SearchSpace:
+    """What is searched first, from a hazy day with clouds on the sun's side, or from the weather file given."""
+    free = tuple(name for name in dict.fromkeys((*SEARCHED, *options.free)) if name not in options.fixed)
+    if options.start is not None:
+        return SearchSpace(home, free)
+    sunward = celestial.to_sun(home.sun)
+    lean = LEAN * sunward[:2] / torch.clamp(torch.linalg.vector_norm(sunward[:2]), min=1e-9)
+    begin = {**HAZY, "SKY_OVERCAST_AHEAD": float(lean[0]), "SKY_OVERCAST_LEFT": float(lean[1])}
+    values = keyframes.values(home) | {name: number for name, number in begin.items() if name in free}
+    return SearchSpace(keyframes.scene(values, torch.float64), free)
+
+
+@dataclass(frozen=True)
+class _Found:
+    space: SearchSpace
+    minimum: Minimum
+    pinned: Mapping[str, str]  # names that were searched in vain, and why
+
+
+def _search(home: Scene, pixels: Pixels, options: Options, minimise: Minimise) -> _Found:
+    """Minimum on few pixels and coarse tables; again without what the photo leaves open; polished on more and finer."""
     budget = Budget(seconds=options.seconds, seed=options.seed, tolerance=1e-4)
-    rough = minimise(_objective(space, pixels, COARSE_PIXELS, COARSE, options.seed), _start(space), budget)
-    if rough.reason == INTERRUPTED:
-        return rough
-    fine = minimise(_objective(space, pixels, FINE_PIXELS, (), options.seed + 1), rough.point, budget)
-    return replace(
-        fine,
-        history=(*rough.history, *fine.history),
-        iterations=rough.iterations + fine.iterations,
-        evaluations=rough.evaluations + fine.evaluations,
+    space = _space(options, home)
+    rough = _objective(space, pixels, COARSE_PIXELS, COARSE, options.seed)
+    minima = [minimise(rough, begin(space), budget)]
+    pinned: dict[str, str] = {}
+    if minima[-1].reason != INTERRUPTED:
+        space, pinned = _reselected(rough, minima[-1].point, home, options)
+        if pinned:
+            again = replace(rough, space=space)
+            minima.append(minimise(again, begin(space), budget))
+    if minima[-1].reason != INTERRUPTED:
+        fine = _objective(space, pixels, FINE_PIXELS, FINE, options.seed + 1)
+        minima.append(minimise(fine, minima[-1].point, budget))
+    whole = replace(
+        minima[-1],
+        history=tuple(loss for minimum in minima for loss in minimum.history),
+        iterations=sum(minimum.iterations for minimum in minima),
+        evaluations=sum(minimum.evaluations for minimum in minima),
     )
+    return _Found(space, whole, pinned)
 
 
-def _start(space: SearchSpace) -> Float[np.ndarray, " n"]:
-    # Off the faces of the cube, where logs have no slope and shares could not shrink.
-    return np.clip(space.point(space.start), 0.01, 0.99)
+def _reselected(
+    objective: SkyObjective, point: Point, home: Scene, options: Options
+) -> tuple[SearchSpace, dict[str, str]]:
+    """Space in which what the photo leaves open stands at home and other parameters take its place."""
+    space = objective.space
+    known = _known(objective, point)
+    overcast = float(value(space.scene(torch.from_numpy(point)), places()["SKY_OVERCAST"]))
+    pinned = undetermined(dict(zip(space.free, known.why, strict=True)), overcast)
+    pinned = {name: why for name, why in pinned.items() if name not in options.free}
+    if not pinned:
+        return space, {}
+    start = pinned_scene(space, point, list(pinned), home)
+    kept = SearchSpace(start, tuple(name for name in space.free if name not in pinned))
+    pool = [name for name in POOL if name not in options.fixed and name not in pinned]
+    chosen = widened(replace(objective, space=kept), pool, len(space.free))
+    return chosen, {name: why for name, why in pinned.items() if name not in chosen.free}
 
 
-def _objective(space: SearchSpace, pixels: Pixels, count: int, size: tuple[int, ...], seed: int) -> SkyObjective:
+def _known(objective: SkyObjective, point: Point) -> Uncertainty:
+    residuals, slopes = objective.jacobian(torch.from_numpy(point))
+    count = objective.sample.direction.shape[0] * 3
+    return uncertainty(residuals[:count], slopes[:count], patches(objective.sample.direction), point)
+
+
+def _objective(space: SearchSpace, pixels: Pixels, count: int, size: sky.Size, seed: int) -> SkyObjective:
     chosen = stratified(pixels, count, seed)
     return SkyObjective(space, _sample(pixels, chosen), _geometry(space, size))
 
@@ -179,11 +234,11 @@ def _sample(pixels: Pixels, chosen: Tensor) -> Sample:
     return Sample(direction, torch.log(radiance + pixels.floor), pixels.floor)
 
 
-def _geometry(space: SearchSpace, size: tuple[int, ...]) -> Callable[[Scene], sky.Geometry]:
+def _geometry(space: SearchSpace, size: sky.Size) -> Callable[[Scene], sky.Geometry]:
     """Rays of the tables of a scene; worked out once where the sun is not searched."""
 
     def rays(scene: Scene) -> sky.Geometry:
-        return sky.geometry(sky_view(scene, torch.zeros(1, 3, dtype=torch.float64)), *size)
+        return sky.geometry(sky_view(scene, torch.zeros(1, 3, dtype=torch.float64)), size)
 
     if any(name.startswith("SUN_") for name in space.free):
         return rays
@@ -191,15 +246,11 @@ def _geometry(space: SearchSpace, size: tuple[int, ...]) -> Callable[[Scene], sk
     return lambda _: kept
 
 
-def _account(
-    space: SearchSpace, pixels: Pixels, minimum: Minimum, seed: int
-) -> tuple[Scene, float, Uncertainty]:
+def _account(space: SearchSpace, pixels: Pixels, minimum: Minimum, seed: int) -> tuple[Scene, float, Uncertainty]:
     """Scene with its gains, its error over all used pixels, and how well each coordinate is determined."""
     point = torch.from_numpy(minimum.point)
-    objective = _objective(space, pixels, FINE_PIXELS, (), seed + 1)
-    residuals, slopes = objective.jacobian(point)
-    count = objective.sample.direction.shape[0] * 3
-    known = uncertainty(residuals[:count], slopes[:count], patches(objective.sample.direction), minimum.point)
+    objective = _objective(space, pixels, FINE_PIXELS, FINE, seed + 1)
+    known = _known(objective, minimum.point)
     whole = replace(objective, sample=_sample(pixels, torch.arange(int(pixels.used.sum()))))
     weight = pixels.solid_angle[pixels.used].double()
     gains, error = _closed_form_gains(whole.radiance(point), whole.sample, weight / weight.sum())
@@ -238,19 +289,20 @@ def _gains(scene: Scene) -> tuple[float, float, float]:
     return red, green, blue
 
 
-def _parameters(scene: Scene, space: SearchSpace, known: Uncertainty, options: Options) -> dict[str, Fitted]:
+def _parameters(scene: Scene, found: _Found, known: Uncertainty, options: Options) -> dict[str, Fitted]:
     """Every parameter of the scene, in files' units."""
     stands = places()
-    found = {}
+    space = found.space
+    parameters = {}
     for name, in_file in keyframes.values(scene).items():
         specification = stands[name].specification
-        error, why = None, _unsearched(name, options)
+        error, why = None, found.pinned.get(name) or _unsearched(name, options)
         if name in space.free:
             index = space.free.index(name)
             why = known.why[index] or "searched"
             if not known.why[index]:
                 error = float(known.standard_error[index]) * _stretch(value(scene, stands[name]), name)
-        found[name] = Fitted(
+        parameters[name] = Fitted(
             value=in_file,
             unit=specification.file_unit,
             bounds=specification.file_bounds,
@@ -258,7 +310,7 @@ def _parameters(scene: Scene, space: SearchSpace, known: Uncertainty, options: O
             determined=error is not None or why == "closed form",
             why=why,
         )
-    return found
+    return parameters
 
 
 def _stretch(now: Tensor, name: str) -> float:

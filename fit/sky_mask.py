@@ -6,23 +6,25 @@ stay outside it; so does what they cut off.
 """
 
 import math
+import struct
+import zlib
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 import OpenImageIO
 import torch
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool, Int, UInt8
 from scipy.ndimage import binary_erosion
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
 from diffrender.rays import Camera, Cubemap, Equirectangular
-from fit import exr, sun
 from fit.input_error import InputError
 from fit.photo import Photo
 from fit.solution import SunPlace
+from fit.sun import Reduced, reduced, to_sun
 
 PNG_MAGIC = b"\x89PNG\r\n\x1a\n"
 WHITE = 128  # of 255, and brighter
@@ -54,26 +56,67 @@ def read(path: Path, photo: Photo) -> Mask:
     Raises:
         InputError: when the file is no PNG of the photo's size, or black everywhere.
     """
-    if not exr.first_bytes(path).startswith(PNG_MAGIC):
+    width, height = _size(path)
+    wanted = photo.camera.width, photo.camera.height
+    if (width, height) != wanted:
+        raise InputError(
+            f"{path} is {width} x {height}, but the photo is {wanted[0]} x {wanted[1]}; give a mask of the photo's size"
+        )
+    colours = _pixels(path)
+    if colours.shape[2] in (2, 4):
+        colours = colours[..., :-1]  # alpha is multiplied in
+    used: Bool[np.ndarray, "height width"] = np.all(colours >= WHITE, axis=-1)
+    if not used.any():
+        raise InputError(f"{path} is black everywhere, so no pixel would be used; paint the sky white")
+    return Mask(used, f"painted in {path.name}")
+
+
+def _size(path: Path) -> tuple[int, int]:
+    """Width and height that a PNG's header names."""
+    try:
+        if not path.is_file():
+            raise InputError(f"{path} is no file; give a mask as PNG, white where there is sky")
+        with path.open("rb") as file:
+            first = file.read(24)
+    except OSError as error:
+        raise InputError(f"{path} cannot be opened ({error.strerror}); give a mask as PNG") from error
+    if not first.startswith(PNG_MAGIC):
         raise InputError(f"{path} is no PNG; give a mask of the photo's size as PNG, white where there is sky")
-    size = f"{photo.camera.width} x {photo.camera.height}"
+    if len(first) < 24:
+        raise _damaged(path)
+    width, height = struct.unpack(">II", first[16:24])
+    return width, height
+
+
+def _pixels(path: Path) -> UInt8[np.ndarray, "height width channels"]:
+    # What is damaged is refused here already, because libpng prints a line of its own.
+    if not _is_whole(path.read_bytes()):
+        raise _damaged(path)
     reader = OpenImageIO.ImageInput.open(str(path))
     if reader is None:
         OpenImageIO.geterror()  # an error that nobody fetched is printed when the program ends
         raise _damaged(path)
-    spec = reader.spec()
-    if (spec.width, spec.height) != (photo.camera.width, photo.camera.height):
-        raise InputError(f"{path} is {spec.width} x {spec.height}, but the photo is {size}; give a mask of its size")
     pixels = reader.read_image(OpenImageIO.UINT8)
     reader.geterror()
     reader.close()
     if pixels is None:
         raise _damaged(path)
-    colours = pixels[..., : 1 if spec.nchannels < 3 else 3]
-    used: Bool[np.ndarray, "height width"] = (colours >= WHITE).all(-1)
-    if not used.any():
-        raise InputError(f"{path} is black everywhere, so no pixel would be used; paint the sky white")
-    return Mask(used, f"painted in {path.name}")
+    colours: UInt8[np.ndarray, "height width channels"] = pixels
+    return colours
+
+
+def _is_whole(png: bytes) -> bool:
+    """Whether the chunks of a PNG have their checksums, up to its end."""
+    start = len(PNG_MAGIC)
+    while start + 12 <= len(png):
+        length, kind = struct.unpack_from(">I4s", png, start)
+        end = start + 8 + length
+        if png[end : end + 4] != struct.pack(">I", zlib.crc32(png[start + 4 : end])):
+            return False
+        if kind == b"IEND":
+            return True
+        start = end + 4
+    return False
 
 
 def _damaged(path: Path) -> InputError:
@@ -83,35 +126,35 @@ def _damaged(path: Path) -> InputError:
 # Found
 
 
-def find(photo: Photo, place: SunPlace) -> Mask:
+def find(photo: Photo, sun: SunPlace) -> Mask:
     """Mask of the quiet sky, without what is low or near the sun.
+
+    Where no quiet patch reaches the top of the picture, under a roof or a tree, it is the largest one.
 
     Raises:
         InputError: when there is no such sky.
     """
-    cells = sun.reduced(photo)
+    cells = reduced(photo)
     elevation = torch.asin(cells.direction[..., 2].clamp(-1.0, 1.0)).numpy()
-    from_sun = torch.linalg.vector_norm(cells.direction - sun.direction(place), dim=-1).numpy()
-    may_be_sky = (elevation > LOWEST) & (cells.usable > LEAST_KNOWN).numpy() & (cells.luminance > 0.0).numpy()
+    known = (cells.usable > LEAST_KNOWN) & (cells.luminance > 0.0)
+    may_be_sky = (elevation > LOWEST) & known.numpy()
     patch = _patches(cells, photo.camera, may_be_sky)
-    inside = _eroded(patch, photo.camera) & (from_sun > 2.0 * math.sin(SUN_GLARE / 2.0))
-    size = np.bincount(np.where(inside, patch, 0).ravel(), cells.solid_angle.numpy().ravel(), patch.max() + 1)
-    size[0] = 0.0
+    from_sun = torch.linalg.vector_norm(cells.direction - to_sun(sun), dim=-1).numpy()
+    inside = _eroded(patch > 0, photo.camera) & (from_sun > 2.0 * math.sin(SUN_GLARE / 2.0))
+    size = np.bincount(patch[inside], cells.solid_angle.numpy()[inside], patch.max() + 1)
     least = LEAST_SKY * float(cells.solid_angle[cells.direction[..., 2] > 0.0].sum())
-    highest = elevation[may_be_sky].max(initial=LOWEST)
-    at_top = np.unique(patch[may_be_sky & (elevation >= highest - TOP * (highest - LOWEST))])
-    how = "found: quiet, and connected to the top of the picture"
-    chosen = at_top[size[at_top].argmax()] if at_top.size else 0
-    if size[chosen] < least:
-        how = "found: the largest quiet patch, because none reaches the top of the picture; look whether it is sky"
-        chosen = size.argmax()
-    if size[chosen] < least:
-        raise InputError(f"no sky found in {photo.path}; paint it white in a picture of its size and give --mask PNG")
-    return Mask(_enlarged(inside & (patch == chosen), cells.side, photo.camera), how)
+    highest = elevation.max(where=may_be_sky, initial=LOWEST)
+    at_top = np.append(patch[elevation >= highest - TOP * (highest - LOWEST)], 0)
+    chosen, how = at_top[size[at_top].argmax()], "quiet, and connected to the top of the picture"
+    if size[chosen] <= least:
+        chosen, how = size.argmax(), "the largest quiet patch, as none reaches the top of the picture; look at it"
+    if size[chosen] <= least:
+        raise InputError(f"no sky found in {photo.path}; give --mask PNG, of the photo's size and white where sky is")
+    return Mask(_enlarged(inside & (patch == chosen), cells.side, photo.camera), f"sky found: {how}")
 
 
 def _patches(
-    cells: sun.Reduced, camera: Camera, may_be_sky: Bool[np.ndarray, "rows columns"]
+    cells: Reduced, camera: Camera, may_be_sky: Bool[np.ndarray, "rows columns"]
 ) -> Int[np.ndarray, "rows columns"]:
     """Number of the patch of connected quiet cells that a cell belongs to; 0 for none."""
     bright = cells.luminance.numpy().ravel()
@@ -125,9 +168,7 @@ def _patches(
     return np.where(quiet, patch + 1, 0).reshape(may_be_sky.shape)
 
 
-def _links(
-    cells: sun.Reduced, camera: Camera, chosen: Bool[np.ndarray, "rows columns"]
-) -> Int[np.ndarray, "n 2"]:
+def _links(cells: Reduced, camera: Camera, chosen: Bool[np.ndarray, "rows columns"]) -> Int[np.ndarray, "n 2"]:
     """Pairs of neighbouring cells, by their number row by row, both of them chosen."""
     number = np.arange(chosen.size).reshape(chosen.shape)
     pairs = [(number[:, :-1], number[:, 1:]), (number[:-1], number[1:])]
@@ -139,20 +180,19 @@ def _links(
 
 
 def _on_sphere(
-    links: Int[np.ndarray, "n 2"], cells: sun.Reduced, chosen: Bool[np.ndarray, "rows columns"]
+    links: Int[np.ndarray, "n 2"], cells: Reduced, chosen: Bool[np.ndarray, "rows columns"]
 ) -> Int[np.ndarray, "m 2"]:
     """Pairs without those that are neighbours in the picture alone, and with those across the edges of faces."""
     direction = cells.direction.reshape(-1, 3).numpy()
-    reach = 1.5 * float(cells.solid_angle.max().sqrt())
+    reach = 1.5 * cells.width
     links = links[np.linalg.norm(direction[links[:, 0]] - direction[links[:, 1]], axis=-1) < reach]
     on_edge = np.flatnonzero(chosen.ravel() & (np.bincount(links.ravel(), minlength=chosen.size) < 4))
     across = cKDTree(direction[on_edge]).query_pairs(reach, output_type="ndarray")
     return np.concatenate([links, on_edge[across]])
 
 
-def _eroded(patch: Int[np.ndarray, "rows columns"], camera: Camera) -> Bool[np.ndarray, "rows columns"]:
-    """Cells of patches that have no cell beside a patch among their eight neighbours; an edge is no neighbour."""
-    inside = patch > 0
+def _eroded(inside: Bool[np.ndarray, "rows columns"], camera: Camera) -> Bool[np.ndarray, "rows columns"]:
+    """Cells all of whose eight neighbours are inside too; beyond an edge of the picture there is none."""
     wrap = 1 if isinstance(camera, Equirectangular) else 0
     wide = np.pad(inside, ((0, 0), (wrap, wrap)), mode="wrap")
     eroded: Bool[np.ndarray, "rows columns"] = binary_erosion(wide, np.ones((3, 3)), border_value=1)

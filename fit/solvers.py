@@ -24,8 +24,8 @@ def solver(name: str) -> Minimise:
     """
     if name in SOLVERS:
         return SOLVERS[name]
-    family, _, algorithm = name.partition(":")
-    if family != "nlopt":
+    algorithm = name.removeprefix("nlopt:")
+    if algorithm == name:
         raise InputError(
             f"the solver {name!r} does not exist; use {', '.join(SOLVERS)} or nlopt:NAME, as nlopt:LD_SLSQP"
         )

@@ -17,13 +17,13 @@ from torch import Tensor
 
 from diffrender import rays
 from diffrender.atmosphere.celestial import Sun
-from diffrender.colour import luminance
+from diffrender.colour import LUMINANCE
 from diffrender.parameters import specifications
 from fit.input_error import InputError
 from fit.photo import Photo
 from fit.solution import SunPlace
 
-CELLS = 512 * 256  # of the coarse picture, at most: 0.7 degrees each in a full panorama
+COLUMNS = 512  # of the coarse picture, at most: 0.7 degrees each in a panorama
 BAND = 64  # rows of pixels read at a time
 
 OVERFLOWED = 65_504.0  # taken for an infinite pixel: the largest half float, which a sun goes beyond
@@ -35,7 +35,7 @@ DISC = math.radians(2.0)  # radius that holds the disc and its blur
 DISC_PIXELS = 3.0  # the same in small pictures, in pixels
 GLOW = math.radians(8.0)  # the same where no disc is seen
 GLARE = 0.02  # share of the peak below which light is glare, which a low sun has more of above it than below
-STEPS = 10  # of the centre towards the centre of brightness round it; two or three would do
+STEPS = 5  # of the centre towards the centre of brightness round it
 
 # In thirty panoramas the faintest discs have 48 and 0.029; what shines through leaves has 27, a lamp at night 0.006.
 LEAST_CONTRAST = 36.0  # of the peak to the brightest tenth of what surrounds it
@@ -65,10 +65,22 @@ def given(text: str) -> SunPlace:
     low, high = _ELEVATION.file_bounds
     if not (low <= elevation <= high and abs(azimuth) <= 360.0):
         raise InputError(
-            f"--sun {text!r}; give ELEVATION,AZIMUTH in degrees such as 35.5,-20: {low:g} to {high:g} above the horizon, "
-            "-360 to 360 to the right of the picture's centre"
+            f"--sun {text!r}; give ELEVATION,AZIMUTH in degrees such as 35.5,-20: {low:g} to {high:g} above the "
+            "horizon and -360 to 360 to the right of the picture's centre"
         )
     return SunPlace(elevation, _wrapped(azimuth), "given by --sun", visible=False)
+
+
+def parse_time(text: str) -> datetime:
+    """Time of the option --time; whether it has a zone is for `from_place` to ask.
+
+    Raises:
+        InputError: when the text is no date and time.
+    """
+    try:
+        return datetime.fromisoformat(text)
+    except ValueError as error:
+        raise InputError(f"--time {text!r}; give date, time and zone such as 2016-08-14T06:30+02:00") from error
 
 
 def from_place(latitude: float, longitude: float, time: datetime, heading: float) -> SunPlace:
@@ -83,7 +95,11 @@ def from_place(latitude: float, longitude: float, time: datetime, heading: float
     Raises:
         InputError: for a time without a zone, or a value out of range.
     """
-    ranges = {"latitude": (latitude, -90.0, 90.0), "longitude": (longitude, -180.0, 180.0), "heading": (heading, 0.0, 360.0)}
+    ranges = {
+        "latitude": (latitude, -90.0, 90.0),
+        "longitude": (longitude, -180.0, 180.0),
+        "heading": (heading, 0.0, 360.0),
+    }
     for name, (value, low, high) in ranges.items():
         if not low <= value <= high:
             raise InputError(f"--{name} {value:g}; allowed is a number of degrees from {low:g} to {high:g}")
@@ -91,23 +107,18 @@ def from_place(latitude: float, longitude: float, time: datetime, heading: float
         raise InputError(f"--time {time.isoformat()} has no zone; add it, as in {time.isoformat()}+02:00")
     if not YEARS[0] <= time.year < YEARS[1]:
         raise InputError(f"--time {time.isoformat()}; allowed are the years from {YEARS[0]} to {YEARS[1] - 1}")
-    import pandas
+    import pandas as pd
     from pvlib import solarposition
 
-    seen = solarposition.get_solarposition(pandas.DatetimeIndex([time]), latitude, longitude).iloc[0]
+    seen = solarposition.get_solarposition(pd.DatetimeIndex([time]), latitude, longitude).iloc[0]
     how = f"computed for {latitude:g}, {longitude:g} at {time.isoformat()}, heading {heading:g}"
     return SunPlace(float(seen["apparent_elevation"]), _wrapped(float(seen["azimuth"]) - heading), how, visible=False)
 
 
-def angles(sun: SunPlace) -> tuple[float, float]:
-    """Elevation and azimuth of the library's record Sun [rad], the azimuth positive to the left."""
-    return sun.elevation / _ELEVATION.file_factor, sun.azimuth / _AZIMUTH.file_factor
-
-
-def direction(sun: SunPlace) -> Float[Tensor, "3"]:
+def to_sun(sun: SunPlace) -> Float[Tensor, "3"]:
     """Unit direction towards the sun."""
-    elevation, azimuth = angles(sun)
-    return rays.from_angles(torch.tensor(elevation), torch.tensor(azimuth))
+    in_files = (sun.elevation, _ELEVATION), (sun.azimuth, _AZIMUTH)
+    return rays.from_angles(*(torch.tensor(degrees / known.file_factor) for degrees, known in in_files))
 
 
 def _place(towards: Float[Tensor, "3"], how: str, *, visible: bool) -> SunPlace:
@@ -116,7 +127,8 @@ def _place(towards: Float[Tensor, "3"], how: str, *, visible: bool) -> SunPlace:
 
 
 def _wrapped(degrees: float) -> float:
-    return (degrees + 180.0) % 360.0 - 180.0
+    # What needs no turn keeps its last digit.
+    return degrees if -180.0 <= degrees < 180.0 else (degrees + 180.0) % 360.0 - 180.0
 
 
 # In the picture
@@ -129,21 +141,22 @@ def find(photo: Photo) -> SunPlace:
     of all light above the horizon, which a lamp is not.
 
     Raises:
-        InputError: when the picture shows nothing above the horizon, or nothing bright.
+        InputError: when the picture shows no light above the horizon.
     """
     cells = reduced(photo)
     start = _brightest(photo, cells)
     centre, visible = _disc(photo, cells, start)
     if visible:
         return _place(centre, "found in the picture", visible=True)
-    glow = _centre(cells.light(), start, GLOW)
+    nearby, _ = cells.light().round(start, 3.0 * GLOW)
+    glow = _centre(nearby, start, GLOW)
     return _place(glow, "no disc seen; brightest part of the sky taken", visible=False)
 
 
 def checked(photo: Photo, sun: SunPlace) -> SunPlace:
     """Sun that was given or computed, with `visible` set by whether the picture shows a disc there."""
-    _, visible = _disc(photo, reduced(photo), direction(sun))
-    return replace(sun, visible=visible)
+    centre, visible = _disc(photo, reduced(photo), to_sun(sun))
+    return replace(sun, visible=visible and bool(_distance(centre, to_sun(sun)) < DISC))
 
 
 class Light(NamedTuple):
@@ -157,9 +170,10 @@ class Light(NamedTuple):
         """What comes from some of them."""
         return Light(*(values[chosen] for values in self))
 
-    def within(self, centre: Float[Tensor, "3"], radius: float) -> Bool[Tensor, " n"]:
-        """Which directions are so near [rad] to one."""
-        return _chord(self.direction - centre) < 2.0 * math.sin(radius / 2.0)
+    def round(self, centre: Float[Tensor, "3"], radius: float) -> tuple["Light", "Light"]:
+        """What comes from within a radius of a direction, and from what surrounds that up to twice as far."""
+        distance = _distance(self.direction, centre)
+        return self.at(distance < radius), self.at((distance >= radius) & (distance < 2.0 * radius))
 
 
 @dataclass(frozen=True, eq=False)
@@ -180,6 +194,11 @@ class Reduced:
     luminance: Float[Tensor, "rows columns"]
     usable: Float[Tensor, "rows columns"]
 
+    @property
+    def width(self) -> float:
+        """Angle across the largest cell [rad]."""
+        return float(self.solid_angle.max().sqrt())
+
     def light(self) -> Light:
         """What comes from above the horizon."""
         known = self.usable > 0.0
@@ -187,7 +206,7 @@ class Reduced:
 
 
 def reduced(photo: Photo) -> Reduced:
-    """Coarse picture of the sky, at most CELLS large."""
+    """Coarse picture of the sky."""
     camera = photo.camera
     side = _cell_side(camera)
     x, columns = _middles(camera.width, side)
@@ -208,10 +227,11 @@ def reduced(photo: Photo) -> Reduced:
 
 
 def _cell_side(camera: rays.Camera) -> int:
-    side = max(1, math.ceil(math.sqrt(camera.width * camera.height / CELLS)))
-    if isinstance(camera, rays.Cubemap):  # a cell should not lie on two faces
+    if isinstance(camera, rays.Cubemap):
+        side = math.ceil(4 * camera.side / COLUMNS)  # four faces go round the horizon
+        # A cell should not lie on two faces.
         return next((fitting for fitting in range(side, 2 * side + 1) if camera.side % fitting == 0), side)
-    return side
+    return math.ceil(camera.width / COLUMNS)
 
 
 def _middles(length: int, side: int) -> tuple[Float[Tensor, " n"], Float[Tensor, " n"]]:
@@ -226,33 +246,32 @@ def _brightness(radiance: Float[Tensor, "*batch 3"]) -> tuple[Float[Tensor, "*ba
 
     Lossy compression leaves negative values round a sun, and in single channels of the sun itself; they count as 0.
     """
-    usable = ~radiance.isnan().any(-1)
-    tamed = torch.nan_to_num(radiance, nan=0.0, posinf=OVERFLOWED).clamp(0.0, BRIGHTEST)
-    return luminance(tamed) * usable, usable
+    # As a product of matrices, and cleaned afterwards, it takes a quarter of the time of colour.luminance.
+    bright = radiance.clamp(min=0.0) @ radiance.new_tensor(LUMINANCE)
+    usable = ~bright.isnan()
+    return torch.nan_to_num(bright, nan=0.0, posinf=OVERFLOWED).clamp(max=BRIGHTEST), usable
 
 
 def _brightest(photo: Photo, cells: Reduced) -> Float[Tensor, "3"]:
     """Direction of the cell with the most light round it."""
     light = cells.light()
-    if not len(light.luminance):
-        raise InputError(f"{photo.path} shows nothing above the horizon; a picture of the sky is needed: check --pitch")
     if not light.luminance.any():
-        raise InputError(f"{photo.path} is black above the horizon; a picture of the sky is needed")
+        raise InputError(
+            f"{photo.path} shows no light above the horizon; give a picture with sky, or the right --pitch"
+        )
     top = torch.topk(light.luminance, min(CANDIDATES, len(light.luminance))).indices
     towards, bright, solid_angle = (values[top] for values in light)
-    reach = max(2.0 * math.sin(LIGHT_ROUND / 2.0), 1.5 * float(cells.solid_angle.max().sqrt()))
-    near = _chord(towards[:, None] - towards) < reach
+    near = _distance(towards[:, None], towards) < max(LIGHT_ROUND, 1.5 * cells.width)
     brightest: Tensor = towards[(near * (bright * solid_angle)).sum(-1).argmax()]
     return brightest
 
 
 def _disc(photo: Photo, cells: Reduced, start: Float[Tensor, "3"]) -> tuple[Float[Tensor, "3"], bool]:
     """Centre of brightness at full resolution near a direction, and whether it is a disc."""
-    pixel = float(cells.solid_angle.max().sqrt()) / cells.side
-    radius = max(DISC, DISC_PIXELS * pixel)
+    radius = max(DISC, DISC_PIXELS * cells.width / cells.side)
     light = _pixels(photo, cells, start, 3.0 * radius)
     centre = _centre(light, start, radius)
-    near, ring = _near_and_ring(light, centre, radius)
+    near, ring = light.round(centre, radius)
     if not (len(near.luminance) and len(ring.luminance)):
         return centre, False
     stands_out = near.luminance.amax() > LEAST_CONTRAST * torch.quantile(ring.luminance, 0.9)
@@ -264,7 +283,7 @@ def _disc(photo: Photo, cells: Reduced, start: Float[Tensor, "3"]) -> tuple[Floa
 def _pixels(photo: Photo, cells: Reduced, centre: Float[Tensor, "3"], radius: float) -> Light:
     """What comes from above the horizon near a direction, pixel by pixel."""
     camera = photo.camera
-    line, column = ((_chord(cells.direction - centre) < 2.0 * math.sin(radius / 2.0)) & (cells.usable > 0.0)).nonzero().T
+    line, column = ((_distance(cells.direction, centre) < radius) & (cells.usable > 0.0)).nonzero().T
     inside = torch.arange(cells.side)
     y = (line[:, None, None] * cells.side + inside[:, None]).expand(-1, -1, cells.side).flatten()
     x = (column[:, None, None] * cells.side + inside).expand(-1, cells.side, -1).flatten()
@@ -282,7 +301,7 @@ def _centre(light: Light, start: Float[Tensor, "3"], radius: float) -> Float[Ten
     """Centre of brightness round a direction, glare left aside; the direction itself where all is equally bright."""
     centre = start
     for _ in range(STEPS):
-        near, ring = _near_and_ring(light, centre, radius)
+        near, ring = light.round(centre, radius)
         if not len(near.luminance):
             return start
         surroundings = ring.luminance.median() if len(ring.luminance) else near.luminance.amin()
@@ -296,12 +315,7 @@ def _centre(light: Light, start: Float[Tensor, "3"], radius: float) -> Float[Ten
     return centre
 
 
-def _near_and_ring(light: Light, centre: Float[Tensor, "3"], radius: float) -> tuple[Light, Light]:
-    """What lies within a radius of a direction, and what surrounds that up to twice as far."""
-    near = light.within(centre, radius)
-    return light.at(near), light.at(light.within(centre, 2.0 * radius) & ~near)
-
-
-def _chord(difference: Float[Tensor, "*batch 3"]) -> Float[Tensor, "*batch"]:
-    length: Tensor = torch.linalg.vector_norm(difference, dim=-1)
-    return length
+def _distance(directions: Float[Tensor, "*batch 3"], centre: Float[Tensor, "*#batch 3"]) -> Float[Tensor, "*batch"]:
+    """Angle between directions [rad]; from the chord, because the cosine of a small angle has few digits."""
+    chord = torch.linalg.vector_norm(directions - centre, dim=-1)
+    return 2.0 * torch.asin((chord / 2.0).clamp(max=1.0))

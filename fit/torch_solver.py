@@ -37,8 +37,9 @@ def _adam(watch: Watch, start: Point) -> Ending:
         if model.is_finite:
             point.grad = torch.tensor(model.gradient)
         else:
-            # Back to firm ground, without the moments that led away from it.
+            # Back to firm ground, without the moments that led away from it, and more carefully.
             optimiser.state.clear()
+            optimiser.param_groups[0]["lr"] *= 0.5
             point.copy_(torch.tensor(watch.best))
             point.grad = torch.tensor(watch.model(point.numpy()).gradient)
         optimiser.step()

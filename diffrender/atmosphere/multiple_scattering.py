@@ -10,7 +10,6 @@ from jaxtyping import Float
 from torch import Tensor
 
 from diffrender.atmosphere.scattering import (
-    GAUSS_4,
     TOP,
     Medium,
     Paths,
@@ -21,28 +20,34 @@ from diffrender.atmosphere.scattering import (
 )
 from diffrender.numerics import lookup, safe_sqrt
 
-HEIGHTS, SUNS = 8, 16  # of the table
+HEIGHTS, SUNS, STEPS = 8, 16, 8  # of the table
 _SUN_SCALE = 0.06  # cosine over which the table's columns are dense round the horizon
 _LOWEST_SUN = -0.35  # cosine: 20 degrees below the horizon
+_DARK = 1e-12  # mean radiance [1/sr] far below that of the deepest twilight
+
+# Gauss and Legendre's rule on [0, 1]: place and weight of each of its six nodes.
+_GAUSS_6 = ((0.03376524289842397, 0.08566224618958512), (0.1693953067668678, 0.18038078652406936),
+            (0.3806904069584016, 0.23395696728634555), (0.6193095930415985, 0.23395696728634555),
+            (0.8306046932331322, 0.18038078652406936), (0.966234757101576, 0.08566224618958512))  # fmt: skip
 
 
-def _gauss(like: Tensor) -> tuple[Tensor, Tensor]:
-    """Places in [0, 1] and weights of a rule that is exact up to the seventh power."""
-    place, weight = like.new_tensor(GAUSS_4).unbind(-1)
-    return 0.5 + 0.5 * place, 0.5 * weight
+def _from_edge(like: Tensor) -> tuple[Tensor, Tensor]:
+    """Nodes in [0, 1], dense where a sphere of directions meets the ground's edge, and weights of their sum."""
+    place, weight = like.new_tensor(_GAUSS_6).unbind(-1)
+    return place * place, 2.0 * place * weight
 
 
-def table_paths(like: Tensor, steps: int = 8) -> Paths:
+def table_paths(like: Tensor, heights: int = HEIGHTS, suns: int = SUNS, steps: int = STEPS) -> Paths:
     """Rays in all directions from every cell of the table of mean radiance: (heights, suns, directions).
 
     Directions are Gauss nodes above and below the local horizon, where radiance jumps, times two azimuths, which are
     exact for sources that vary with the azimuth's cosine up to its cube.
     """
-    height = TOP * torch.linspace(0.0, 1.0, HEIGHTS).to(like).pow(3)
-    sun = _SUN_SCALE * torch.sinh(torch.linspace(*_sun_range(), SUNS).to(like))
-    place, _ = _gauss(like)
+    height = _heights(heights, like)
+    sun = _SUN_SCALE * torch.sinh(torch.linspace(*_sun_range(), suns).to(like))
+    place, _ = _from_edge(like)
     edge = horizon_cosine(height)[:, None]
-    up, down = edge + (1.0 - edge) * place, -1.0 + (1.0 + edge) * place
+    up, down = edge + (1.0 - edge) * place, edge - (1.0 + edge) * place
     view = torch.cat([up, down], -1)[:, None, :, None]
     sun = sun[None, :, None, None]
     azimuth = torch.tensor([math.sqrt(0.5), -math.sqrt(0.5)]).to(like)
@@ -56,9 +61,8 @@ def mean_radiance(medium: Medium, around: Paths) -> Float[Tensor, "heights suns 
     The first order is isotropic too; every later one is the same share of the one before, so that they sum to
     1 / (1 - share). Ground bounces count as scattering.
     """
-    height = TOP * torch.linspace(0.0, 1.0, HEIGHTS).to(around.step).pow(3)
-    edge = horizon_cosine(height)[:, None]
-    _, weight = _gauss(around.step)
+    edge = horizon_cosine(_heights(around.step.shape[0], around.step))[:, None]
+    _, weight = _from_edge(around.step)
     solid = torch.cat([(1.0 - edge) * weight, (1.0 + edge) * weight], -1)[:, None, :, None] / 2.0
     steps, through = step_weights(medium, around)
     source = steps * (around.density @ medium.scattering())
@@ -73,9 +77,15 @@ def look_up(table: Float[Tensor, "heights suns 3"], height: Tensor, cos_sun: Ten
     """Mean radiance at a height [m] and cosine of the sun's zenith angle."""
     low, high = _sun_range()
     # Cube root with a floor of a tenth of a cell, where its slope would be infinite.
-    row = torch.clamp(height / TOP, min=1e-6).pow(1.0 / 3.0) * (HEIGHTS - 1)
-    column = (torch.asinh(cos_sun / _SUN_SCALE) - low) / (high - low) * (SUNS - 1)
-    return lookup(table, row.expand_as(column), column)
+    row = torch.clamp(height / TOP, min=1e-6).pow(1.0 / 3.0) * (table.shape[0] - 1)
+    column = (torch.asinh(cos_sun / _SUN_SCALE) - low) / (high - low) * (table.shape[1] - 1)
+    # Between the cells of its logarithm: in twilight it falls by a factor of ten from one to the next.
+    found = lookup(torch.log1p(table / _DARK), row.expand_as(column), column)
+    return _DARK * torch.expm1(found)
+
+
+def _heights(count: int, like: Tensor) -> Tensor:
+    return TOP * torch.linspace(0.0, 1.0, count).to(like).pow(3)
 
 
 def _sun_range() -> tuple[float, float]:

@@ -236,7 +236,8 @@ def _length(height: Tensor, cos_view: Tensor) -> tuple[Tensor, Tensor]:
 
 def transmittance(medium: Medium, columns: Float[Tensor, "*batch 3"]) -> Float[Tensor, "*batch 3"]:
     """Share of light that passes columns of air, haze and ozone [m], by channel."""
-    return torch.exp(-columns @ medium.extinction())
+    # Beyond 80 nothing is left, and float32's exp takes ten times as long once its result is subnormal.
+    return torch.exp(-torch.clamp(columns @ medium.extinction(), max=80.0))
 
 
 def step_weights(medium: Medium, along: Paths) -> tuple[Float[Tensor, "*rays n 3"], Float[Tensor, "*rays 3"]]:

@@ -12,6 +12,7 @@ Gradient: exact in every parameter and in the sun's place. The ground's edge, be
 """
 
 import math
+from dataclasses import dataclass
 
 import torch
 from jaxtyping import Float
@@ -24,7 +25,18 @@ from diffrender.effect import Effect, Rung
 from diffrender.numerics import lookup, safe_sqrt
 from diffrender.parameters import parameter, record
 
-ROWS, COLUMNS, STEPS = 32, 6, 24  # of the table of rays
+@dataclass(frozen=True)
+class Size:
+    """How finely the tables are cut: what a search spends, and what a picture does."""
+
+    rows: int = 32
+    columns: int = 6
+    steps: int = 24
+    heights: int = multiple.HEIGHTS
+    suns: int = multiple.SUNS
+    steps_around: int = multiple.STEPS
+
+
 _ROW_SCALE = 0.05  # share of the way to the zenith over which the rows are dense above the horizon
 _CLOUD_TOP = 2e3  # height at which an overcast layer is lit [m]
 _HAZE_ALBEDO = 0.9  # share of the haze's extinction that is scattering, Bruneton and Neyret 2008
@@ -75,10 +87,10 @@ class Sky:
         about="share of the light from above that the cloud layer lets through: its brightness and colour",
     )  # fmt: skip
     overcast_ahead: Float[Tensor, ""] = parameter(
-        0.0, bounds=(-4.0, 4.0), unit="1", about="growth of the log odds of the overcast share towards +x",
+        0.0, bounds=(-8.0, 8.0), unit="1", about="growth of the log odds of the overcast share towards +x",
     )  # fmt: skip
     overcast_left: Float[Tensor, ""] = parameter(
-        0.0, bounds=(-4.0, 4.0), unit="1", about="growth of the log odds of the overcast share towards +y",
+        0.0, bounds=(-8.0, 8.0), unit="1", about="growth of the log odds of the overcast share towards +y",
     )  # fmt: skip
 
 
@@ -141,22 +153,22 @@ def _haze_parts(sky: Sky, log_wavelength: Tensor) -> tuple[Tensor, Tensor]:
     return fine, scattering.HAZE * sky.coarse_scale * torch.ones_like(log_wavelength)
 
 
-def geometry(view: SkyView, rows: int = ROWS, columns: int = COLUMNS, steps: int = STEPS) -> Geometry:
+def geometry(view: SkyView, size: Size = Size()) -> Geometry:
     """Rays of the tables for an eye and a sun; kept by fits, where neither moves."""
     like = view.direction
     cos_sun = view.to_sun[2]
-    rise = _ROW_SCALE * torch.expm1(torch.linspace(0.0, math.log1p(1.0 / _ROW_SCALE), rows).to(like))
+    rise = _ROW_SCALE * torch.expm1(torch.linspace(0.0, math.log1p(1.0 / _ROW_SCALE), size.rows).to(like))
     lowest = _horizon(view.eye_altitude)
     # A thousandth of a degree above the ground's edge, where rays still leave for space.
     elevation = lowest + 2e-5 + (math.pi / 2.0 - 2e-5 - lowest) * rise
     cos_view = torch.sin(elevation)[:, None]
     level = torch.cos(elevation)[:, None] * safe_sqrt(1.0 - cos_sun * cos_sun)
-    cos_angle = cos_view * cos_sun + level * torch.linspace(-1.0, 1.0, columns).to(like)
+    cos_angle = cos_view * cos_sun + level * torch.linspace(-1.0, 1.0, size.columns).to(like)
     ground = torch.zeros_like(cos_view)
     top = torch.full_like(cos_sun, _CLOUD_TOP)
     return Geometry(
-        rays=scattering.paths(view.eye_altitude + ground, cos_view, cos_sun + ground, cos_angle, steps),
-        around=multiple.table_paths(like),
+        rays=scattering.paths(view.eye_altitude + ground, cos_view, cos_sun + ground, cos_angle, size.steps),
+        around=multiple.table_paths(like, size.heights, size.suns, size.steps_around),
         cloud_column=scattering.column(top, cos_sun),
         cloud_sun=torch.relu(cos_sun) * scattering.sunlit(top, cos_sun),
         cos_sun=cos_sun,
@@ -225,7 +237,7 @@ def render_single(sky: Sky, view: SkyView) -> Float[Tensor, "*batch 3"]:
     """The same with light scattered once only: too dark and too blue, by half at low sun."""
     air = medium(sky)
     found = _in_scatter(air, _rays(view, 48), None)
-    fixed = geometry(view, rows=2, columns=2, steps=2)
+    fixed = geometry(view, Size(rows=2, columns=2, steps=2))
     dark = torch.zeros_like(fixed.around.density[..., 0, 0, 0, :])
     return _compose(sky, view, found, _cloud(air, fixed, dark))
 
@@ -242,7 +254,7 @@ class MarchedView:
 def prepare_march(sky: Sky, view: SkyView) -> MarchedView:
     """Table of higher orders, from which rays are marched."""
     air = medium(sky)
-    fixed = geometry(view, rows=2, columns=2, steps=2)
+    fixed = geometry(view, Size(rows=2, columns=2, steps=2))
     mean = multiple.mean_radiance(air, fixed.around)
     return MarchedView(view, mean, _cloud(air, fixed, mean))
 

@@ -1,0 +1,63 @@
+"""Which parameters a photo can speak about: what it leaves undetermined goes to its default, and others take its place."""
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+import torch
+
+from diffrender.scene import Scene, places
+from fit.gauss_newton import QuadraticModel
+from fit.minimum import Point
+from fit.objective import SkyObjective
+from fit.search_space import SearchSpace, put, value
+
+# Without a cloud layer there is nothing that these could change.
+OF_OVERCAST = "SKY_OVERCAST"
+DAMPING = 1e-3  # of a promise: steps across the whole box are seldom kept
+
+
+def pinned_scene(space: SearchSpace, point: Point, names: Sequence[str], home: Scene) -> Scene:
+    """Scene at a point, some of its parameters put back to where they are at home."""
+    known = places()
+    scene = space.scene(torch.from_numpy(point))
+    for name in names:
+        scene = put(scene, known[name], value(home, known[name]))
+    return scene
+
+
+def undetermined(why: Mapping[str, str], overcast: float | None) -> dict[str, str]:
+    """Names that a photo says nothing of, with the reason; those of a cloud layer that it does not show among them."""
+    lost = {name: reason for name, reason in why.items() if reason and not reason.startswith("at its")}
+    if overcast == 0.0:
+        lost |= {name: "no cloud layer in the photo" for name in why if name.startswith(OF_OVERCAST)}
+    return lost
+
+
+def widened(objective: SkyObjective, pool: Sequence[str], count: int) -> SearchSpace:
+    """Space with the names of the pool added that promise the lowest loss, up to a count of names.
+
+    Each promise is the lowest point of the Gauss-Newton model within the bounds; names are taken one after the other.
+    """
+    space = objective.space
+    candidates = [name for name in pool if name not in space.free]
+    if float(value(space.start, places()[OF_OVERCAST])) == 0.0:
+        candidates = [name for name in candidates if not name.startswith(OF_OVERCAST)]
+    whole = SearchSpace(space.start, (*space.free, *candidates))
+    point = whole.point(whole.start)
+    residuals, slopes = SkyObjective(whole, objective.sample, objective.geometry).jacobian(torch.from_numpy(point))
+    chosen = list(range(len(space.free)))
+
+    def promise(index: int) -> float:
+        with_it = [*chosen, index]
+        model = QuadraticModel(point[with_it], residuals, slopes[:, with_it])
+        return model.decrease(model.lowest(DAMPING))
+
+    while len(chosen) < min(count, len(whole.free)):
+        rest = [index for index in range(len(whole.free)) if index not in chosen]
+        chosen.append(max(rest, key=promise))
+    return SearchSpace(space.start, tuple(whole.free[index] for index in chosen))
+
+
+def begin(space: SearchSpace) -> Point:
+    """Start of a search: off the faces of the cube, where a share of 0 hides the slopes of what depends on it."""
+    return np.clip(space.point(space.start), 0.01, 0.99)

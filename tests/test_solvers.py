@@ -1,0 +1,436 @@
+import itertools
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+import numpy as np
+import pytest
+import scipy.optimize
+import torch
+from torch import Tensor
+from torch.func import jacfwd
+
+from fit import nlopt_solver
+from fit.gauss_newton import QuadraticModel
+from fit.input_error import InputError
+from fit.minimum import AT_BOUND, INTERRUPTED, Budget, OutOfBudget, Watch
+from fit.solvers import SOLVERS, solver
+
+LOCAL = [*SOLVERS, "nlopt:LD_SLSQP", "nlopt:LD_LBFGS", "nlopt:LD_TNEWTON_PRECOND", "nlopt:LN_BOBYQA", "nlopt:LN_SBPLX"]
+GLOBAL = ["nlopt:G_MLSL_LDS", "nlopt:GN_MLSL_LDS", "nlopt:GN_CRS2_LM", "nlopt:GN_DIRECT_L"]
+EXACT = ["least-squares", "lbfgs", "nlopt:LD_SLSQP", "nlopt:LD_LBFGS"]  # solve hard problems in a few dozen evaluations
+PLENTY = Budget(evaluations=1200)
+
+
+@dataclass
+class Problem:
+    """Residuals of a point of the unit cube, and what befalls the calls, counted from 1."""
+
+    function: Callable[[Tensor], Tensor]
+    size: int
+    fault: Callable[[int], float] = lambda _: 1.0
+    calls: int = 0
+    asked: list[np.ndarray] = field(default_factory=list)
+
+    def residuals(self, point: Tensor) -> Tensor:
+        factor = self._call(point)
+        return self.function(point) * factor
+
+    def jacobian(self, point: Tensor) -> tuple[Tensor, Tensor]:
+        factor = self._call(point)
+        return self.function(point) * factor, jacfwd(self.function)(point) * factor
+
+    def _call(self, point: Tensor) -> float:
+        self.calls += 1
+        self.asked.append(point.numpy().copy())
+        return self.fault(self.calls)
+
+    def loss(self, point: np.ndarray) -> float:
+        return 0.5 * float(self.function(torch.tensor(point)).square().sum())
+
+    @property
+    def start(self) -> np.ndarray:
+        return np.full(self.size, 0.4)
+
+
+def rosenbrock(size: int, low: float, high: float) -> Problem:
+    def function(unit: Tensor) -> Tensor:
+        x = low + (high - low) * unit
+        return torch.cat([1.0 - x[:-1], 10.0 * (x[1:] - x[:-1] ** 2)])
+
+    return Problem(function, size)
+
+
+def bowl(*lowest: float) -> Problem:
+    """Lowest where it says, or on the faces of the cube nearest to it."""
+    place = torch.tensor(lowest, dtype=torch.float64)
+    weights = torch.linspace(1.0, 2.0, len(lowest), dtype=torch.float64)
+    return Problem(lambda unit: torch.cat([weights * (unit - place), torch.ones(1, dtype=torch.float64)]), len(lowest))
+
+
+def decay(noise: float) -> Problem:
+    """Height, rate and floor of a decaying exponential, true at 0.5, 0.3 and 0.2."""
+    time = torch.linspace(0.0, 1.0, 60, dtype=torch.float64)
+
+    def model(unit: Tensor) -> Tensor:
+        return 4.0 * unit[0] * torch.exp(-10.0 * unit[1] * time) + unit[2]
+
+    generator = torch.Generator().manual_seed(3)
+    scatter = noise * torch.randn(60, generator=generator, dtype=torch.float64)
+    measured = model(torch.tensor([0.5, 0.3, 0.2], dtype=torch.float64)) + scatter
+    return Problem(lambda unit: model(unit) - measured, 3)
+
+
+def curved(seed: int) -> Problem:
+    """Log of a smooth positive model in eight parameters, true inside and outside the cube."""
+    generator = torch.Generator().manual_seed(seed)
+    directions = torch.randn(300, 3, generator=generator, dtype=torch.float64)
+    waves = torch.tanh(directions @ torch.randn(3, 8, generator=generator, dtype=torch.float64))
+
+    def model(unit: Tensor) -> Tensor:
+        return torch.log((waves * torch.exp(2.0 * unit - 1.0)).sum(-1).square() + 0.5)
+
+    truth = 1.6 * torch.rand(8, generator=generator, dtype=torch.float64) - 0.3
+    measured = model(truth) + 0.1 * torch.randn(300, generator=generator, dtype=torch.float64)
+    return Problem(lambda unit: model(unit) - measured, 8)
+
+
+def raising(problem: Problem, error: BaseException, call: int) -> Problem:
+    def fault(count: int) -> float:
+        if count >= call:
+            raise error
+        return 1.0
+
+    problem.fault = fault
+    return problem
+
+
+class Broken(Exception):  # noqa: N818 - what an objective might raise
+    pass
+
+
+@pytest.mark.parametrize("name", [*LOCAL, *GLOBAL])
+def test_bowl_is_solved_by_every_solver(name: str) -> None:
+    problem = bowl(0.3, 0.8)
+    found = solver(name)(problem, problem.start, PLENTY)
+    assert found.point == pytest.approx([0.3, 0.8], abs=2e-3)
+    assert found.loss == pytest.approx(0.5, rel=1e-5)
+    assert found.converged
+
+
+@pytest.mark.parametrize("name", EXACT)
+def test_rosenbrocks_valley_is_followed_to_its_end(name: str) -> None:
+    problem = rosenbrock(3, low=-2.0, high=2.0)
+    found = solver(name)(problem, np.array([0.2, 0.7, 0.5]), Budget())
+    assert found.point == pytest.approx(0.75, abs=1e-4)
+    assert found.converged
+
+
+@pytest.mark.parametrize("name", EXACT)
+def test_rosenbrocks_valley_is_followed_to_a_bound(name: str) -> None:
+    problem = rosenbrock(2, low=-2.0, high=0.8)
+    found = solver(name)(problem, problem.start, Budget())
+    assert found.point[0] == 1.0
+    assert found.point[1] == pytest.approx((0.64 + 2.0) / 2.8, abs=1e-4)
+    assert found.loss == pytest.approx(0.02, rel=1e-4)
+    assert found.converged
+
+
+@pytest.mark.parametrize("name", [*LOCAL, "nlopt:G_MLSL_LDS"])
+def test_decay_without_noise_gives_its_true_parameters(name: str) -> None:
+    problem = decay(noise=0.0)
+    found = solver(name)(problem, np.array([0.9, 0.9, 0.9]), PLENTY)
+    # Adam's last steps are short, not small beside a residual of 0.
+    assert found.point == pytest.approx([0.5, 0.3, 0.2], abs=1e-2 if name == "adam" else 2e-3)
+    assert found.converged
+
+
+@pytest.mark.parametrize("name", EXACT)
+def test_gradient_vanishes_at_the_minimum(name: str) -> None:
+    problem = decay(noise=0.05)
+    found = solver(name)(problem, problem.start, Budget())
+    residuals, jacobian = problem.jacobian(torch.tensor(found.point))
+    cosines = (jacobian.T @ residuals) / (jacobian.norm(dim=0) * residuals.norm())
+    assert cosines.abs().max() < 1e-2
+
+
+@pytest.mark.parametrize("name", LOCAL)
+def test_solution_in_a_corner_lies_exactly_on_its_bounds(name: str) -> None:
+    problem = bowl(-0.5, 1.4, 0.3, -0.1)
+    found = solver(name)(problem, problem.start, PLENTY)
+    assert found.point[[0, 1, 3]].tolist() == [0.0, 1.0, 0.0]
+    assert found.point[2] == pytest.approx(0.3, abs=2e-3)
+    assert found.converged
+
+
+@pytest.mark.parametrize("name", LOCAL)
+def test_start_on_the_wrong_bounds_is_left(name: str) -> None:
+    problem = bowl(0.3, 0.7)
+    found = solver(name)(problem, np.array([1.0, 0.0]), PLENTY)
+    assert found.point == pytest.approx([0.3, 0.7], abs=2e-3)
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_least_squares_finds_what_scipy_finds_in_no_more_evaluations(seed: int) -> None:
+    problem = curved(seed)
+    found = solver("least-squares")(problem, problem.start, Budget())
+    scipys = scipy.optimize.least_squares(
+        lambda x: problem.function(torch.tensor(x)).numpy(),
+        problem.start,
+        jac=lambda x: jacfwd(problem.function)(torch.tensor(x)).numpy(),
+        bounds=(0.0, 1.0),
+        ftol=1e-6,
+        xtol=1e-6,
+    )
+    assert found.loss <= scipys.cost * (1.0 + 1e-5)
+    assert found.evaluations <= scipys.nfev
+    assert found.converged
+
+
+@pytest.mark.parametrize("name", ["nlopt:G_MLSL_LDS", "nlopt:GD_STOGO", "nlopt:GN_DIRECT_L"])
+def test_global_algorithm_leaves_the_nearest_minimum(name: str) -> None:
+    def function(unit: Tensor) -> Tensor:
+        return torch.stack([10.0 * (unit[0] - 0.2) * (unit[0] - 0.8), 0.3 * (unit[0] - 0.8), unit[1] - 0.5])
+
+    problem = Problem(function, 2)
+    start = np.array([0.25, 0.5])
+    near = solver("least-squares")(problem, start, Budget())
+    found = solver(name)(problem, start, Budget(evaluations=300))
+    assert near.point[0] == pytest.approx(0.2, abs=0.01)
+    assert found.point[0] == pytest.approx(0.8, abs=0.01)
+
+
+@pytest.mark.parametrize("name", nlopt_solver.names())
+def test_every_algorithm_of_nlopt_solves_or_is_refused_in_words(name: str) -> None:
+    problem = bowl(0.3, 0.8)
+    try:
+        found = solver(f"nlopt:{name}")(problem, problem.start, Budget(evaluations=500))
+    except InputError as refusal:
+        assert name in str(refusal)  # noqa: PT017 - either is right
+        return
+    assert found.loss < 0.51
+    assert found.evaluations <= 500
+    assert all(((point >= 0.0) & (point <= 1.0)).all() for point in problem.asked)
+
+
+@pytest.mark.parametrize("name", [*LOCAL, *GLOBAL])
+@pytest.mark.parametrize("call", [1, 3, 6])
+def test_one_loss_that_is_not_a_number_is_survived(name: str, call: int) -> None:
+    problem = bowl(0.3, 0.8)
+    problem.fault = lambda count: math.nan if count == call else 1.0
+    found = solver(name)(problem, np.array([0.9, 0.2]), PLENTY)
+    assert found.point == pytest.approx([0.3, 0.8], abs=1e-2)
+    assert math.isfinite(found.loss)
+
+
+@pytest.mark.parametrize("name", [*LOCAL, *GLOBAL])
+@pytest.mark.parametrize("value", [math.nan, math.inf])
+def test_loss_finite_nowhere_is_an_error(name: str, value: float) -> None:
+    problem = bowl(0.3, 0.8)
+    problem.fault = lambda _: value
+    with pytest.raises(FloatingPointError, match="finite"):
+        solver(name)(problem, problem.start, Budget())
+    assert problem.calls <= 3
+
+
+@pytest.mark.parametrize("name", [*EXACT, "adam", "nlopt:LN_BOBYQA"])
+def test_region_without_finite_loss_is_avoided(name: str) -> None:
+    def function(unit: Tensor) -> Tensor:
+        return torch.stack([torch.log(unit[0] - 0.25) - math.log(0.05), unit[1] - 0.5, torch.ones_like(unit[0])])
+
+    problem = Problem(function, 2)
+    found = solver(name)(problem, np.array([0.9, 0.9]), Budget())
+    assert found.point == pytest.approx([0.3, 0.5], abs=1e-2)
+    assert found.converged
+
+
+def test_point_without_finite_derivative_is_a_failed_step() -> None:
+    problem = bowl(0.3, 0.8)
+
+    class Halting(Problem):
+        def jacobian(self, point: Tensor) -> tuple[Tensor, Tensor]:
+            residuals, jacobian = super().jacobian(point)
+            return residuals, jacobian * (math.nan if self.calls == 3 else 1.0)
+
+    halting = Halting(problem.function, 2)
+    found = solver("least-squares")(halting, problem.start, Budget())
+    assert found.point == pytest.approx([0.3, 0.8], abs=1e-3)
+
+
+@pytest.mark.parametrize("name", [*LOCAL, *GLOBAL])
+@pytest.mark.parametrize("call", [1, 2, 5])
+def test_exception_of_the_objective_keeps_its_type_and_ends_the_search(name: str, call: int) -> None:
+    problem = raising(bowl(0.3, 0.8, 0.1), Broken("inside"), call)
+    with pytest.raises(Broken, match="inside"):
+        solver(name)(problem, problem.start, Budget())
+    assert problem.calls == call
+
+
+@pytest.mark.parametrize("name", [*LOCAL, *GLOBAL])
+def test_interruption_returns_the_best_so_far(name: str) -> None:
+    problem = raising(rosenbrock(3, low=-2.0, high=2.0), KeyboardInterrupt(), 5)
+    found = solver(name)(problem, problem.start, Budget())
+    assert (found.reason, found.converged) == (INTERRUPTED, False)
+    assert found.loss == min(found.history) == pytest.approx(problem.loss(found.point))
+    # Nothing is evaluated after it, so a second one meets the caller.
+    assert problem.calls == 5
+
+
+@pytest.mark.parametrize("name", [*LOCAL, *GLOBAL])
+def test_interruption_before_the_first_loss_is_passed_on(name: str) -> None:
+    problem = raising(bowl(0.3), KeyboardInterrupt(), 1)
+    with pytest.raises(KeyboardInterrupt):
+        solver(name)(problem, problem.start, Budget())
+
+
+@pytest.mark.parametrize("name", [*LOCAL, *GLOBAL])
+def test_evaluations_are_kept_to(name: str) -> None:
+    problem = rosenbrock(3, low=-2.0, high=2.0)
+    found = solver(name)(problem, problem.start, Budget(evaluations=4))
+    assert found.evaluations == len(found.history) == 4
+    assert found.reason == "evaluations used up"
+    assert not found.converged
+
+
+@pytest.mark.parametrize("name", [*LOCAL, *GLOBAL])
+def test_seconds_are_kept_to(name: str) -> None:
+    problem = rosenbrock(3, low=-2.0, high=2.0)
+    found = solver(name)(problem, problem.start, Budget(seconds=0.0))
+    assert found.evaluations == 1
+    assert found.reason == "seconds used up"
+    assert not found.converged
+
+
+def test_watch_reads_its_clock_after_each_evaluation() -> None:
+    hours = itertools.count()
+    watch = Watch(bowl(0.3), Budget(seconds=2.5), clock=lambda: float(next(hours)))
+    watch.evaluate(np.array([0.1]))
+    watch.evaluate(np.array([0.4]))  # the best
+    with pytest.raises(OutOfBudget, match="seconds"):
+        watch.evaluate(np.array([0.9]))
+    assert watch.best == np.array([0.4])
+    assert len(watch.history) == 3
+
+
+@pytest.mark.parametrize("name", [*LOCAL, *GLOBAL])
+def test_same_seed_gives_the_same_bits(name: str) -> None:
+    budget = Budget(evaluations=60, seed=7)
+    problem = decay(noise=0.05)
+    first, second = (solver(name)(problem, problem.start, budget) for _ in range(2))
+    assert first.point.tobytes() == second.point.tobytes()
+    assert first.history == second.history
+
+
+def test_other_seed_draws_other_points() -> None:
+    problem = decay(noise=0.05)
+    first, second = (
+        solver("nlopt:GN_CRS2_LM")(problem, problem.start, Budget(evaluations=60, seed=seed)) for seed in (7, 8)
+    )
+    assert first.history != second.history
+
+
+@pytest.mark.parametrize("name", [*LOCAL, *GLOBAL])
+def test_search_cut_short_at_the_minimum_has_converged(name: str) -> None:
+    found = solver(name)(bowl(0.3, 0.8), np.array([0.3, 0.8]), Budget(evaluations=2))
+    assert found.converged
+
+
+@pytest.mark.parametrize("name", [*LOCAL, *GLOBAL])
+def test_nothing_to_search_is_one_evaluation(name: str) -> None:
+    problem = Problem(lambda _: torch.tensor([3.0, 4.0], dtype=torch.float64), 0)
+    found = solver(name)(problem, problem.start, Budget())
+    assert (found.loss, found.evaluations, found.converged) == (12.5, 1, True)
+
+
+@pytest.mark.parametrize("name", LOCAL)
+def test_start_outside_the_cube_is_moved_into_it_and_left_as_it_was(name: str) -> None:
+    problem = bowl(0.3, 0.8)
+    start = np.array([-0.5, 1.0 + 1e-9])
+    found = solver(name)(problem, start, PLENTY)
+    assert found.point == pytest.approx([0.3, 0.8], abs=2e-3)
+    assert start.tolist() == [-0.5, 1.0 + 1e-9]
+    assert all(((point >= 0.0) & (point <= 1.0)).all() for point in problem.asked)
+
+
+def test_flat_loss_has_converged_at_the_start() -> None:
+    problem = Problem(lambda unit: 0.0 * unit + 1.0, 3)
+    for name in EXACT:
+        found = solver(name)(problem, problem.start, Budget())
+        assert found.converged
+        assert found.loss == 1.5
+
+
+def test_least_squares_asks_for_each_point_once() -> None:
+    problem = decay(noise=0.05)
+    problem.fault = lambda _: 1.0
+    found = solver("least-squares")(problem, problem.start, Budget())
+    points = {point.tobytes() for point in problem.asked}
+    assert found.evaluations == len(points)
+    assert problem.calls == found.evaluations + found.iterations
+
+
+def test_coordinate_settles_on_a_bound_only_where_the_loss_does_not_grow() -> None:
+    watch = Watch(bowl(-0.2, 0.5 * AT_BOUND), Budget())
+    watch.evaluate(np.array([0.5 * AT_BOUND, 0.5 * AT_BOUND]))
+    watch.settle_on_bounds()
+    assert watch.best is not None
+    assert watch.best.tolist() == [0.0, 0.5 * AT_BOUND]
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_quadratic_model_is_lowest_where_every_choice_of_faces_says(seed: int) -> None:
+    generator = torch.Generator().manual_seed(seed)
+    jacobian = torch.randn(20, 4, generator=generator, dtype=torch.float64)
+    residuals = torch.randn(20, generator=generator, dtype=torch.float64)
+    model = QuadraticModel(np.full(4, 0.5), residuals, jacobian)
+    lowest = model.lowest(damping=0.0)
+    # Every coordinate at its lower bound, at its upper one, or free: 81 linear systems.
+    best = 0.0
+    for faces in itertools.product((-0.5, 0.5, None), repeat=4):
+        free = [axis for axis, face in enumerate(faces) if face is None]
+        step = np.array([0.0 if face is None else face for face in faces])
+        pull = model.gradient + model.curvature @ step
+        step[free] = -np.linalg.solve(model.curvature[np.ix_(free, free)], pull[free])
+        if abs(step).max() <= 0.5:
+            best = max(best, model.decrease(model.point + step))
+    assert model.decrease(lowest) == pytest.approx(best, rel=1e-9)
+    assert ((lowest >= 0.0) & (lowest <= 1.0)).all()
+
+
+def test_strong_damping_turns_a_step_down_the_gradient() -> None:
+    jacobian = torch.tensor([[3.0, 1.0], [0.0, 2.0], [1.0, 1.0]], dtype=torch.float64)
+    model = QuadraticModel(np.array([0.5, 0.5]), torch.tensor([0.3, -0.2, 0.1], dtype=torch.float64), jacobian)
+    step = model.lowest(damping=1e6) - model.point
+    cosine = -step @ model.gradient / (np.linalg.norm(step) * np.linalg.norm(model.gradient))
+    assert cosine == pytest.approx(1.0, abs=1e-6)
+
+
+def test_linear_residuals_keep_the_models_promise() -> None:
+    problem = bowl(0.3, 1.2)
+    model = QuadraticModel(problem.start, *problem.jacobian(torch.tensor(problem.start)))
+    lowest = model.lowest(damping=0.0)
+    assert lowest == pytest.approx([0.3, 1.0])
+    assert model.loss - problem.loss(lowest) == pytest.approx(model.decrease(lowest))
+
+
+@pytest.mark.parametrize(
+    ("name", "hint"),
+    [
+        ("newton", "least-squares"),
+        ("Adam", "adam"),
+        ("nlopt", "nlopt:LD_SLSQP"),
+        ("nlopt:LD_LFBGS", "LD_LBFGS"),
+        ("nlopt:ln_bobyqa", "LN_BOBYQA"),
+        ("nlopt:LD_AUGLAG", "LD_"),
+        ("nlopt:srand", "nlopt"),
+        ("nlopt:", "LD_SLSQP"),
+        ("scipy:LD_SLSQP", "nlopt:NAME"),
+    ],
+)
+def test_unknown_solver_is_refused_with_near_names(name: str, hint: str) -> None:
+    with pytest.raises(InputError) as refusal:
+        solver(name)
+    message = str(refusal.value)
+    assert name in message
+    assert hint in message
+    assert "\n" not in message
