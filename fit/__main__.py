@@ -1,19 +1,25 @@
 """The command line: reads, fits, writes; no mathematics."""
 
+import io
 import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from fit.input_error import InputError
 
 if TYPE_CHECKING:
-    from fit.solution import SunPlace
+    from fit.shot import Shot
 
-app = typer.Typer(add_completion=False, rich_markup_mode=None, no_args_is_help=True, pretty_exceptions_enable=False)
+app = typer.Typer(add_completion=False, rich_markup_mode=None, pretty_exceptions_enable=False)
 
-NOT_CONVERGED, BAD_INPUT, INTERRUPTED = 1, 2, 130
+FITTED, NOT_CONVERGED, BAD_INPUT, INTERRUPTED = 0, 1, 2, 130
+# One thread: for what a fit does at a time, the second core of an idle machine gains nothing that the waiting of
+# threads for each other does not cost many times over on a busy one. It also gives the same bits on every machine.
+THREADS = 1
 
 
 @app.callback()
@@ -26,13 +32,18 @@ Projection = Annotated[
 ]
 FieldOfView = Annotated[float | None, typer.Option("--fov", help="Across the width of a perspective picture, degrees.")]
 Pitch = Annotated[float, typer.Option(help="Of a perspective camera, degrees upwards.")]
-Heading = Annotated[float, typer.Option(help="Compass bearing of the picture's middle column, degrees.")]
-SunOption = Annotated[
+Heading = Annotated[
+    float | None, typer.Option(min=0, max=360, help="Compass bearing of the picture's middle column, degrees; else 0.")
+]
+Sun = Annotated[
     str | None,
     typer.Option("--sun", metavar="ELEVATION,AZIMUTH", help="Degrees; azimuth to the right of the middle column."),
 ]
-Latitude = Annotated[float | None, typer.Option(help="Degrees north; with --longitude and --time it places the sun.")]
-Longitude = Annotated[float | None, typer.Option(help="Degrees east.")]
+Latitude = Annotated[
+    float | None,
+    typer.Option(min=-90, max=90, help="Degrees north; with --longitude and --time it places the sun."),
+]
+Longitude = Annotated[float | None, typer.Option(min=-180, max=180, help="Degrees east.")]
 Time = Annotated[str | None, typer.Option(help="With its zone, such as 2016-08-14T06:30+02:00.")]
 
 
@@ -41,11 +52,11 @@ def sky(
     photo: Annotated[Path, typer.Argument(help="OpenEXR or Radiance .hdr file.")],
     out: Annotated[Path | None, typer.Option(help="Folder for the results; else tuned/<photo name>.")] = None,
     mask: Annotated[Path | None, typer.Option(help="PNG of the photo's size; white is used.")] = None,
-    sun: SunOption = None,
+    sun: Sun = None,
     latitude: Latitude = None,
     longitude: Longitude = None,
     time: Time = None,
-    heading: Heading = 0.0,
+    heading: Heading = None,
     projection: Projection = None,
     fov: FieldOfView = None,
     pitch: Pitch = 0.0,
@@ -53,105 +64,131 @@ def sky(
     fix: Annotated[list[str] | None, typer.Option(metavar="NAME=VALUE", help="Hold a parameter; repeatable.")] = None,
     free: Annotated[list[str] | None, typer.Option(metavar="NAME", help="Search one more; repeatable.")] = None,
     solver: Annotated[str, typer.Option(help="least-squares, nlopt:NAME, adam or lbfgs.")] = "least-squares",
-    seconds: Annotated[float | None, typer.Option(help="Take the best after this long; not repeatable.")] = None,
-    seed: Annotated[int, typer.Option(help="Of the sample of pixels and of solvers that draw.")] = 0,
+    seconds: Annotated[
+        float | None, typer.Option(min=1e-3, help="Take the best after this long; not repeatable.")
+    ] = None,
+    seed: Annotated[
+        int, typer.Option(min=0, max=2**31 - 1, help="Of the sample of pixels and of solvers that draw.")
+    ] = 0,
     quiet: Annotated[bool, typer.Option("--quiet", help="Print nothing but errors.")] = False,
-) -> None:
-    """Fit air, haze and clouds to the sky of a photo."""
-    from fit import photo as photos
-    from fit import results
-    from fit import sky as sky_fit
-    from fit import sun as sun_place
+) -> int:
+    """Fit air, haze and clouds to the sky of a photo.
 
+    Exit status: 0 fitted, 1 not converged, 2 bad input, 130 interrupted; all but 2 write what was found.
+    """
+    with _progress("starting", quiet):
+        from fit import minimum, options, results
+        from fit import photo as photos
+        from fit import sky as sky_fit
+        from fit import sun as sun_place
+
+        _use_threads()
     folder = results.folder(out, photo)
+    shot = _shot(latitude, longitude, time, heading)
+    place = sun_place.given(sun) if sun is not None else shot.sun()
+    asked = sky_fit.Options(
+        mask=mask,
+        sun=place,
+        start=options.start(start) if start else None,
+        fixed=options.assignments(fix or []),
+        free=tuple(free or ()),
+        solver=solver,
+        seconds=seconds,
+        seed=seed,
+    )
     with _progress("reading and fitting", quiet):
         seen = photos.read(photo, projection, fov, pitch)
-        place = _sun(sun_place, sun, latitude, longitude, time, heading)
-        options = sky_fit.Options(
-            mask=mask,
-            sun=place,
-            start=results.scene_of(start) if start else None,
-            fixed=results.assignments(fix or []),
-            free=tuple(free or ()),
-            solver=solver,
-            seconds=seconds,
-            seed=seed,
-        )
-        solution = sky_fit.fit(seen, options)
+        solution = sky_fit.fit(seen, asked)
     with _progress("writing", quiet):
-        results.write(folder, seen, solution, results.hour_of(seen, time))
+        results.write(folder, seen, solution, shot.completed(seen.header))
     if not quiet:
-        typer.echo(results.summary(folder, solution))
-    if solution.minimum.reason == results.INTERRUPTED:
-        raise typer.Exit(INTERRUPTED)
-    if not solution.minimum.converged:
-        raise typer.Exit(NOT_CONVERGED)
+        _say(results.summary(folder, solution))
+    if solution.minimum.reason == minimum.INTERRUPTED:
+        return INTERRUPTED
+    return FITTED if solution.minimum.converged else NOT_CONVERGED
 
 
 @app.command()
 def render(
     weather: Annotated[Path, typer.Argument(help="Weather file.")],
     out: Annotated[Path, typer.Option(help="OpenEXR file to write.")],
-    hour: Annotated[float, typer.Option(help="Of the day.")] = 12.0,
+    hour: Annotated[float, typer.Option(min=0, max=24, help="Of the day.")] = 12.0,
     size: Annotated[str, typer.Option(metavar="WIDTHxHEIGHT", help="In pixels.")] = "1024x512",
-    sun: SunOption = None,
+    sun: Sun = None,
     latitude: Latitude = None,
     longitude: Longitude = None,
     time: Time = None,
-    heading: Heading = 0.0,
+    heading: Heading = None,
     projection: Projection = None,
     fov: FieldOfView = None,
     pitch: Pitch = 0.0,
 ) -> None:
-    """Draw the sky of a weather file at an hour."""
-    from fit import results
+    """Draw the sky of a weather file at an hour, and the sun's disc as a second part."""
+    from fit import keyframes, options, picture, weather_file
     from fit import sun as sun_place
 
-    place = _sun(sun_place, sun, latitude, longitude, time, heading)
-    results.render(weather, out, hour, place, results.camera(size, projection, fov, pitch))
+    _use_threads()
+    camera = options.camera(size, projection, fov, pitch)
+    shot = _shot(latitude, longitude, time, heading)
+    place = sun_place.given(sun) if sun is not None else shot.sun()
+    values = keyframes.at(weather_file.read(weather), hour)
+    if place is not None:
+        values |= {"SUN_ELEVATION": place.elevation, "SUN_AZIMUTH": place.azimuth}
+    scene = options.with_sky(keyframes.scene(values), weather)
+    picture.write(out, picture.draw(scene, camera), {"weather": weather.name, "hour": hour})
 
 
-def _sun(
-    sun_place: Any,  # noqa: ANN401 - the module, which only the commands import
-    sun: str | None,
-    latitude: float | None,
-    longitude: float | None,
-    time: str | None,
-    heading: float,
-) -> "SunPlace | None":
-    if sun is not None:
-        found: SunPlace = sun_place.given(sun)
-        return found
-    given = [latitude is not None, longitude is not None, time is not None]
-    if not any(given):
-        return None
-    if not all(given):
-        raise InputError("the sun's place needs --latitude, --longitude and --time together; or give --sun")
-    placed: SunPlace = sun_place.from_place(latitude, longitude, sun_place.parse_time(time), heading)
-    return placed
+def _shot(latitude: float | None, longitude: float | None, time: str | None, heading: float | None) -> "Shot":
+    from fit import shot
+    from fit import sun as sun_place
+
+    return shot.Shot(latitude, longitude, None if time is None else sun_place.parse_time(time), heading)
 
 
-def _progress(what: str, quiet: bool) -> Any:  # noqa: ANN401 - rich's context manager
+def _use_threads() -> None:
+    import torch
+
+    torch.set_num_threads(THREADS)
+
+
+@contextmanager
+def _progress(what: str, quiet: bool) -> Iterator[None]:
+    """Show on standard error, if it is a terminal, what takes its time."""
+    if quiet or not sys.stderr.isatty():
+        yield
+        return
     from rich.console import Console
 
-    return Console(stderr=True, quiet=quiet).status(what)
+    with Console(stderr=True).status(what):
+        yield
+
+
+def _say(text: str) -> None:
+    # File names may hold bytes that are no text and characters that move a terminal's cursor.
+    typer.echo("\n".join(_visible(line) for line in text.split("\n")))
+
+
+def _visible(text: str) -> str:
+    return "".join(letter if letter.isprintable() else "?" for letter in text)
 
 
 def main() -> None:
     """Run the command line; errors of the user are one line and exit status 2."""
+    if isinstance(sys.stdout, io.TextIOWrapper):
+        sys.stdout.reconfigure(errors="replace")  # not every terminal knows all letters
     try:
         status = app(standalone_mode=False)
     except InputError as error:
-        sys.exit(_refuse(str(error)))
+        status = _refuse(str(error))
     except typer.TyperException as error:
-        sys.exit(_refuse(error.format_message()))
+        status = _refuse(f"{error.format_message().rstrip('.')}; --help says what is allowed")
     except (typer.Abort, KeyboardInterrupt):
-        sys.exit(INTERRUPTED)
-    sys.exit(status or 0)
+        status = INTERRUPTED
+    sys.exit(status)
 
 
 def _refuse(message: str) -> int:
-    typer.echo("error: " + " ".join(message.split()), err=True)
+    typer.echo("error: " + _visible(" ".join(message.split())), err=True)
     return BAD_INPUT
 
 

@@ -13,9 +13,9 @@ from diffrender.atmosphere import sky
 from diffrender.scene import Scene, sky_view
 from fit.search_space import SearchSpace
 
-# Differences of log radiance beyond this count less than their square: a cloud's edge or a leaf that the mask let pass.
+# Differences of log radiance beyond this count less than their square: leaves and cloud edges that a mask let pass.
 ROBUST_WIDTH = 1.0
-# How much one whole range of a parameter away from its default weighs against the photo: nothing where the photo speaks.
+# Weight of one whole range of a parameter away from its start: nothing where the photo speaks.
 PRIOR_WEIGHT = 1e-3
 STEP = 1e-6  # of the differences that stand for derivatives
 # Names of what is applied when the tables are looked up.
@@ -40,7 +40,7 @@ class SkyObjective:
     geometry: Callable[[Scene], sky.Geometry]  # rays of the tables; the same ones again where sun and eye stay
 
     def residuals(self, point: Float[Tensor, " n"]) -> Float[Tensor, " m"]:
-        """Robust differences of log radiance, then the distance from the defaults; half their square sum is the loss."""
+        """Robust differences of log radiance, then distances from the start; half their square sum is the loss."""
         return self._residuals(point, self._tables(point))
 
     def jacobian(self, point: Float[Tensor, " n"]) -> tuple[Float[Tensor, " m"], Float[Tensor, "m n"]]:

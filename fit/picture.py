@@ -53,8 +53,10 @@ def sunlight(scene: Scene) -> Float[torch.Tensor, "3"]:
     view = sky_view(scene, towards)
     through = scattering.column(view.eye_altitude, towards[2])
     clear = 1.0 - sky.overcast_share(scene.sky, towards)
-    return scattering.transmittance(sky.medium(scene.sky), through) * clear * scattering.sunlit(
-        view.eye_altitude, towards[2]
+    return (
+        scattering.transmittance(sky.medium(scene.sky), through)
+        * clear
+        * scattering.sunlit(view.eye_altitude, towards[2])
     )
 
 

@@ -1,4 +1,4 @@
-"""The pixels that a fit looks at: the photo averaged over boxes, so that no cost grows with its size, and samples of it."""
+"""The pixels that a fit looks at: a photo averaged over boxes, so that no cost grows with its size, and samples."""
 
 from dataclasses import dataclass
 
@@ -9,8 +9,8 @@ from torch import Tensor
 
 from fit.exr import bands
 from fit.photo import Photo
+from fit.sun import cell_side
 
-COLUMNS = 512  # of the averaged picture, at least, where the photo has as many
 FLOOR = 1e-3  # of the median radiance: below it, noise would rule the logarithm
 
 
@@ -39,7 +39,7 @@ def usable(photo: Photo, mask: Bool[np.ndarray, "height width"]) -> Bool[np.ndar
 
 def averaged(photo: Photo, used_pixels: Bool[np.ndarray, "height width"]) -> Pixels:
     """The photo in boxes; rows and columns that fill no box at the right and lower border are left out."""
-    side = max(1, photo.camera.width // COLUMNS)
+    side = cell_side(photo.camera)
     high, wide = photo.camera.height // side, photo.camera.width // side
     radiance, used = torch.zeros(high, wide, 3), torch.zeros(high, wide, dtype=torch.bool)
     lines = max(1, 256 // side)  # of boxes at a time

@@ -22,7 +22,7 @@ from fit.whole_file import write_bytes
 from fit.whole_folder import whole_folder
 
 ACCOUNT = "fit.json"  # takes its place last: who finds it finds the files it speaks of
-REPORT_COLUMNS = 1024
+LARGEST_SHOWN = 1024  # columns or rows of the report's pictures
 
 
 def folder(out: Path | None, photo: Path) -> Path:
@@ -134,7 +134,7 @@ def _pictures(
     photo: Photo, fitted: Float[np.ndarray, "height width 3"], used: Bool[np.ndarray, "height width"]
 ) -> report.Pictures:
     """Pictures of the report, averaged over boxes; a box counts as used when all of its pixels are."""
-    side = max(1, math.ceil(photo.camera.width / REPORT_COLUMNS))
+    side = math.ceil(max(photo.camera.width, photo.camera.height) / LARGEST_SHOWN)
     shown = _boxes(fitted, side)
     shown[~(shown > 0.0).any(-1)] = np.nan
     return report.Pictures(photo=_boxes(photo.radiance, side), fitted=shown, mask=_boxes(used, side) == 1.0)
@@ -149,5 +149,6 @@ def _boxes(
     # By bands, so that a large picture of halves is never whole in single precision.
     for rows in bands(high):
         lines = whole[rows.start * side : rows.stop * side, : wide * side]
-        means[rows] = lines.reshape(-1, side, wide, side, *whole.shape[2:]).mean((1, 3), dtype=np.float32)
+        with np.errstate(all="ignore"):  # of infinite and NaN pixels, which no one takes for colours
+            means[rows] = lines.reshape(-1, side, wide, side, *whole.shape[2:]).mean((1, 3), dtype=np.float32)
     return means

@@ -1,4 +1,4 @@
-"""Which parameters a photo can speak about: what it leaves undetermined goes to its default, and others take its place."""
+"""Which parameters a photo can speak about: what it leaves open goes to its default, and others take its place."""
 
 from collections.abc import Mapping, Sequence
 
@@ -60,4 +60,5 @@ def widened(objective: SkyObjective, pool: Sequence[str], count: int) -> SearchS
 
 def begin(space: SearchSpace) -> Point:
     """Start of a search: off the faces of the cube, where a share of 0 hides the slopes of what depends on it."""
-    return np.clip(space.point(space.start), 0.01, 0.99)
+    start: Point = np.clip(space.point(space.start), 0.01, 0.99)
+    return start

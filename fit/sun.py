@@ -208,7 +208,7 @@ class Reduced:
 def reduced(photo: Photo) -> Reduced:
     """Coarse picture of the sky."""
     camera = photo.camera
-    side = _cell_side(camera)
+    side = cell_side(camera)
     x, columns = _middles(camera.width, side)
     y, rows = _middles(camera.height, side)
     places = torch.meshgrid(x, y, indexing="xy")
@@ -226,7 +226,8 @@ def reduced(photo: Photo) -> Reduced:
     return Reduced(side, towards, solid_angle, light / usable.clamp(min=torch.finfo(usable.dtype).tiny), usable)
 
 
-def _cell_side(camera: rays.Camera) -> int:
+def cell_side(camera: rays.Camera) -> int:
+    """Pixels across a cell of the coarse picture."""
     if isinstance(camera, rays.Cubemap):
         side = math.ceil(4 * camera.side / COLUMNS)  # four faces go round the horizon
         # A cell should not lie on two faces.

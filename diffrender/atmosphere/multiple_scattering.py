@@ -10,6 +10,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from diffrender.atmosphere.scattering import (
+    PLANET_RADIUS,
     TOP,
     Medium,
     Paths,
@@ -20,37 +21,50 @@ from diffrender.atmosphere.scattering import (
 )
 from diffrender.numerics import lookup, safe_sqrt
 
-HEIGHTS, SUNS, STEPS = 8, 16, 8  # of the table
+HEIGHTS, SUNS, STEPS = 8, 12, 8  # of the table
 _SUN_SCALE = 0.06  # cosine over which the table's columns are dense round the horizon
-_LOWEST_SUN = -0.35  # cosine: 20 degrees below the horizon
 _DARK = 1e-12  # mean radiance [1/sr] far below that of the deepest twilight
 
-# Gauss and Legendre's rule on [0, 1]: place and weight of each of its six nodes.
-_GAUSS_6 = ((0.03376524289842397, 0.08566224618958512), (0.1693953067668678, 0.18038078652406936),
-            (0.3806904069584016, 0.23395696728634555), (0.6193095930415985, 0.23395696728634555),
-            (0.8306046932331322, 0.18038078652406936), (0.966234757101576, 0.08566224618958512))  # fmt: skip
+# Gauss and Legendre's rule on [0, 1]: place and weight of each of its five nodes.
+_GAUSS_5 = ((0.04691007703066802, 0.11846344252809454), (0.23076534494715845, 0.23931433524968324), (0.5, 64.0 / 225.0),
+            (0.7692346550528415, 0.23931433524968324), (0.953089922969332, 0.11846344252809454))  # fmt: skip
+
+
+def sun_range(cos_sun: Float[Tensor, ""], eye_altitude: Float[Tensor, ""]) -> Float[Tensor, "2"]:
+    """First and last column of the table, in the table's own scale: the sun's place over all points of an eye's rays."""
+    radius = PLANET_RADIUS + eye_altitude
+    edge = safe_sqrt(eye_altitude * (radius + PLANET_RADIUS)), safe_sqrt(cos_sun.new_tensor(TOP * (2.0 * PLANET_RADIUS + TOP)))
+    # Cosine and sine of the angle, at the planet's middle, between the eye and the end of its longest ray.
+    cosine = (PLANET_RADIUS * PLANET_RADIUS - edge[0] * edge[1]) / (radius * (PLANET_RADIUS + TOP))
+    sine = PLANET_RADIUS * (edge[0] + edge[1]) / (radius * (PLANET_RADIUS + TOP))
+    sin_sun = safe_sqrt(1.0 - cos_sun * cos_sun)
+    low = torch.where(cos_sun > -cosine, cos_sun * cosine - sin_sun * sine, -torch.ones_like(cos_sun))
+    high = torch.where(cos_sun < cosine, cos_sun * cosine + sin_sun * sine, torch.ones_like(cos_sun))
+    return torch.asinh(torch.stack([low, high]) / _SUN_SCALE)
 
 
 def _from_edge(like: Tensor) -> tuple[Tensor, Tensor]:
     """Nodes in [0, 1], dense where a sphere of directions meets the ground's edge, and weights of their sum."""
-    place, weight = like.new_tensor(_GAUSS_6).unbind(-1)
+    place, weight = like.new_tensor(_GAUSS_5).unbind(-1)
     return place * place, 2.0 * place * weight
 
 
-def table_paths(like: Tensor, heights: int = HEIGHTS, suns: int = SUNS, steps: int = STEPS) -> Paths:
-    """Rays in all directions from every cell of the table of mean radiance: (heights, suns, directions).
+def table_paths(
+    suns: Float[Tensor, "2"], heights: int = HEIGHTS, columns: int = SUNS, steps: int = STEPS
+) -> Paths:
+    """Rays in all directions from every cell of the table of mean radiance: (heights, suns, directions, azimuths).
 
-    Directions are Gauss nodes above and below the local horizon, where radiance jumps, times two azimuths, which are
-    exact for sources that vary with the azimuth's cosine up to its cube.
+    Directions are Gauss nodes above and below the local horizon, where radiance jumps, times three azimuths, which are
+    exact for sources that vary with the azimuth's cosine up to its fifth power: those of a twilight.
     """
-    height = _heights(heights, like)
-    sun = _SUN_SCALE * torch.sinh(torch.linspace(*_sun_range(), suns).to(like))
-    place, _ = _from_edge(like)
+    height = _heights(heights, suns)
+    sun = _SUN_SCALE * torch.sinh(torch.lerp(suns[0], suns[1], torch.linspace(0.0, 1.0, columns).to(suns)))
+    sun = torch.clamp(sun, -1.0, 1.0)[None, :, None, None]
+    place, _ = _from_edge(suns)
     edge = horizon_cosine(height)[:, None]
     up, down = edge + (1.0 - edge) * place, edge - (1.0 + edge) * place
     view = torch.cat([up, down], -1)[:, None, :, None]
-    sun = sun[None, :, None, None]
-    azimuth = torch.tensor([math.sqrt(0.5), -math.sqrt(0.5)]).to(like)
+    azimuth = suns.new_tensor([math.sqrt(0.75), 0.0, -math.sqrt(0.75)])
     angle = view * sun + safe_sqrt(1.0 - view * view) * safe_sqrt(1.0 - sun * sun) * azimuth
     return paths(height[:, None, None, None], view, sun, angle, steps)
 
@@ -73,12 +87,13 @@ def mean_radiance(medium: Medium, around: Paths) -> Float[Tensor, "heights suns 
     return (first.mean(3) * solid).sum(2) / (1.0 - share)
 
 
-def look_up(table: Float[Tensor, "heights suns 3"], height: Tensor, cos_sun: Tensor) -> Float[Tensor, "*batch 3"]:
-    """Mean radiance at a height [m] and cosine of the sun's zenith angle."""
-    low, high = _sun_range()
+def look_up(
+    table: Float[Tensor, "heights suns 3"], suns: Float[Tensor, "2"], height: Tensor, cos_sun: Tensor
+) -> Float[Tensor, "*batch 3"]:
+    """Mean radiance at a height [m] and cosine of the sun's zenith angle, from a table over a range of suns."""
     # Cube root with a floor of a tenth of a cell, where its slope would be infinite.
     row = torch.clamp(height / TOP, min=1e-6).pow(1.0 / 3.0) * (table.shape[0] - 1)
-    column = (torch.asinh(cos_sun / _SUN_SCALE) - low) / (high - low) * (table.shape[1] - 1)
+    column = (torch.asinh(cos_sun / _SUN_SCALE) - suns[0]) / (suns[1] - suns[0]) * (table.shape[1] - 1)
     # Between the cells of its logarithm: in twilight it falls by a factor of ten from one to the next.
     found = lookup(torch.log1p(table / _DARK), row.expand_as(column), column)
     return _DARK * torch.expm1(found)
@@ -86,7 +101,3 @@ def look_up(table: Float[Tensor, "heights suns 3"], height: Tensor, cos_sun: Ten
 
 def _heights(count: int, like: Tensor) -> Tensor:
     return TOP * torch.linspace(0.0, 1.0, count).to(like).pow(3)
-
-
-def _sun_range() -> tuple[float, float]:
-    return math.asinh(_LOWEST_SUN / _SUN_SCALE), math.asinh(1.0 / _SUN_SCALE)

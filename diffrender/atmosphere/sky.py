@@ -38,6 +38,7 @@ class Size:
 
 
 _ROW_SCALE = 0.05  # share of the way to the zenith over which the rows are dense above the horizon
+_MARCH = 48  # steps of a ray
 _CLOUD_TOP = 2e3  # height at which an overcast layer is lit [m]
 _HAZE_ALBEDO = 0.9  # share of the haze's extinction that is scattering, Bruneton and Neyret 2008
 
@@ -105,14 +106,22 @@ class SkyView:
 
 
 @record
+class CloudTop:
+    """How the sun stands over the cloud layer."""
+
+    column: Float[Tensor, "3"]  # from the layer to the sun [m]
+    irradiance: Float[Tensor, ""]  # over the sun's, by angle and shadow alone
+    cos_sun: Float[Tensor, ""]
+
+
+@record
 class Geometry:
     """Rays of the tables, which depend on the eye and the sun but on no parameter of the sky."""
 
     rays: Paths  # (rows, columns)
     around: Paths  # of the table of mean radiance
-    cloud_column: Float[Tensor, "3"]  # from the cloud layer to the sun [m]
-    cloud_sun: Float[Tensor, ""]  # sunlight on the layer's top, by angle alone
-    cos_sun: Float[Tensor, ""]
+    suns: Float[Tensor, "2"]  # over which it reaches
+    cloud_top: CloudTop
 
 
 @record
@@ -165,13 +174,12 @@ def geometry(view: SkyView, size: Size = Size()) -> Geometry:
     level = torch.cos(elevation)[:, None] * safe_sqrt(1.0 - cos_sun * cos_sun)
     cos_angle = cos_view * cos_sun + level * torch.linspace(-1.0, 1.0, size.columns).to(like)
     ground = torch.zeros_like(cos_view)
-    top = torch.full_like(cos_sun, _CLOUD_TOP)
+    suns = _suns(view)
     return Geometry(
         rays=scattering.paths(view.eye_altitude + ground, cos_view, cos_sun + ground, cos_angle, size.steps),
-        around=multiple.table_paths(like, size.heights, size.suns, size.steps_around),
-        cloud_column=scattering.column(top, cos_sun),
-        cloud_sun=torch.relu(cos_sun) * scattering.sunlit(top, cos_sun),
-        cos_sun=cos_sun,
+        around=multiple.table_paths(suns, size.heights, size.suns, size.steps_around),
+        suns=suns,
+        cloud_top=_cloud_top(cos_sun),
     )
 
 
@@ -179,28 +187,38 @@ def tables(sky: Sky, fixed: Geometry) -> SkyTables:
     """Tables of a sky: its in-scatter in every direction from the eye, phase functions left out."""
     air = medium(sky)
     mean = multiple.mean_radiance(air, fixed.around)
-    return SkyTables(_in_scatter(air, fixed.rays, mean), _cloud(air, fixed, mean))
+    return SkyTables(_in_scatter(air, fixed.rays, mean, fixed.suns), _cloud(air, fixed.cloud_top, mean, fixed.suns))
 
 
-def _in_scatter(air: Medium, rays: Paths, mean: Tensor | None) -> Float[Tensor, "*batch 3 3"]:
+def _in_scatter(air: Medium, rays: Paths, mean: Tensor, suns: Tensor) -> Float[Tensor, "*batch 3 3"]:
     """Light per irradiance [1/sr] scattered by air and by haze, without phase functions, and of higher orders."""
     weights, _ = scattering.step_weights(air, rays)
+    around = multiple.look_up(mean, suns, rays.height, rays.cos_sun)
+    higher = (weights * (rays.density @ air.scattering()) * around).sum(-2)
+    return torch.stack([*_scattered_once(air, rays, weights), higher], -2)
+
+
+def _scattered_once(air: Medium, rays: Paths, weights: Tensor) -> tuple[Tensor, Tensor]:
     direct = weights * scattering.transmittance(air, rays.sun_column) * rays.sunlit
-    by_air = (direct * rays.density[..., :1]).sum(-2) * air.rayleigh
     by_haze = (direct * rays.density[..., 1:2]).sum(-2) * air.haze_scattering
-    if mean is None:
-        higher = torch.zeros_like(by_air)
-    else:
-        around = multiple.look_up(mean, rays.height, rays.cos_sun)
-        higher = (weights * (rays.density @ air.scattering()) * around).sum(-2)
-    return torch.stack([by_air, by_haze, higher], -2)
+    return (direct * rays.density[..., :1]).sum(-2) * air.rayleigh, by_haze
 
 
-def _cloud(air: Medium, fixed: Geometry, mean: Tensor) -> Float[Tensor, "3"]:
+def _cloud_top(cos_sun: Tensor) -> CloudTop:
+    top = torch.full_like(cos_sun, _CLOUD_TOP)
+    irradiance = torch.relu(cos_sun) * scattering.sunlit(top, cos_sun)
+    return CloudTop(scattering.column(top, cos_sun), irradiance, cos_sun)
+
+
+def _cloud(air: Medium, top: CloudTop, mean: Tensor, suns: Tensor) -> Float[Tensor, "3"]:
     # Lit by the sun and by half a sphere of mean radiance; 7 pi / 9 turns an irradiance into a zenith radiance [4].
-    top = fixed.cos_sun.new_tensor(_CLOUD_TOP)
-    direct = scattering.transmittance(air, fixed.cloud_column) * fixed.cloud_sun
-    return (direct + math.pi * multiple.look_up(mean, top, fixed.cos_sun)) * 9.0 / (7.0 * math.pi)
+    from_sky = math.pi * multiple.look_up(mean, suns, torch.full_like(top.cos_sun, _CLOUD_TOP), top.cos_sun)
+    return _zenith(scattering.transmittance(air, top.column) * top.irradiance + from_sky)
+
+
+def _zenith(irradiance: Tensor) -> Tensor:
+    """Zenith radiance of an overcast sky over the irradiance of the ground: by 7 pi / 9 [4]."""
+    return irradiance * (9.0 / (7.0 * math.pi))
 
 
 def prepare(sky: Sky, view: SkyView) -> TabledView:
@@ -229,17 +247,19 @@ def render(sky: Sky, marched: "MarchedView") -> Float[Tensor, "*batch 3"]:
 
     Black below the ground's edge.
     """
-    rays = _rays(marched.view, 48)
-    return _compose(sky, marched.view, _in_scatter(medium(sky), rays, marched.mean), marched.cloud)
+    view = marched.view
+    rays = _rays(view, _MARCH)
+    return _compose(sky, view, _in_scatter(medium(sky), rays, marched.mean, _suns(view)), marched.cloud)
 
 
 def render_single(sky: Sky, view: SkyView) -> Float[Tensor, "*batch 3"]:
     """The same with light scattered once only: too dark and too blue, by half at low sun."""
-    air = medium(sky)
-    found = _in_scatter(air, _rays(view, 48), None)
-    fixed = geometry(view, Size(rows=2, columns=2, steps=2))
-    dark = torch.zeros_like(fixed.around.density[..., 0, 0, 0, :])
-    return _compose(sky, view, found, _cloud(air, fixed, dark))
+    air, rays = medium(sky), _rays(view, _MARCH)
+    weights, _ = scattering.step_weights(air, rays)
+    once = _scattered_once(air, rays, weights)
+    top = _cloud_top(view.to_sun[2])
+    cloud = _zenith(scattering.transmittance(air, top.column) * top.irradiance)
+    return _compose(sky, view, torch.stack([*once, torch.zeros_like(once[0])], -2), cloud)
 
 
 @record
@@ -253,10 +273,13 @@ class MarchedView:
 
 def prepare_march(sky: Sky, view: SkyView) -> MarchedView:
     """Table of higher orders, from which rays are marched."""
-    air = medium(sky)
-    fixed = geometry(view, Size(rows=2, columns=2, steps=2))
-    mean = multiple.mean_radiance(air, fixed.around)
-    return MarchedView(view, mean, _cloud(air, fixed, mean))
+    air, suns = medium(sky), _suns(view)
+    mean = multiple.mean_radiance(air, multiple.table_paths(suns))
+    return MarchedView(view, mean, _cloud(air, _cloud_top(view.to_sun[2]), mean, suns))
+
+
+def _suns(view: SkyView) -> Float[Tensor, "2"]:
+    return multiple.sun_range(view.to_sun[2], view.eye_altitude)
 
 
 def skip(sky: Sky, view: SkyView) -> Float[Tensor, "*batch 3"]:
