@@ -46,7 +46,7 @@ HAZY = {
     "SKY_MIE_SCALE": 10.0,
     "SKY_COARSE_SCALE": 0.5,
     "SKY_RAYLEIGH_SCALE": 0.6,
-    "SKY_OVERCAST": 0.05,
+    "SKY_OVERCAST": 0.3,
 }
 # What may take the place of searched parameters that a photo leaves open.
 POOL = (
@@ -183,10 +183,14 @@ def _search(home: Scene, pixels: Pixels, options: Options, minimise: Minimise) -
     minima = [minimise(rough, begin(space), budget)]
     pinned: dict[str, str] = {}
     if minima[-1].reason != INTERRUPTED:
-        space, pinned = _reselected(rough, minima[-1].point, home, options)
+        kept, wider, pinned = _reselected(rough, minima[-1].point, home, options)
         if pinned:
-            again = replace(rough, space=space)
-            minima.append(minimise(again, begin(space), budget))
+            minima.append(minimise(replace(rough, space=wider), begin(wider), budget))
+            space = wider
+            if minima[-1].loss > minima[0].loss:
+                # Others in their place led to a worse minimum.
+                space = kept
+                minima.append(minimise(replace(rough, space=space), space.point(space.start), budget))
     if minima[-1].reason != INTERRUPTED:
         fine = _objective(space, pixels, FINE_PIXELS, FINE, options.seed + 1)
         minima.append(minimise(fine, minima[-1].point, budget))
@@ -201,20 +205,19 @@ def _search(home: Scene, pixels: Pixels, options: Options, minimise: Minimise) -
 
 def _reselected(
     objective: SkyObjective, point: Point, home: Scene, options: Options
-) -> tuple[SearchSpace, dict[str, str]]:
-    """Space in which what the photo leaves open stands at home and other parameters take its place."""
+) -> tuple[SearchSpace, SearchSpace, dict[str, str]]:
+    """Space without what the photo leaves open, one in which others take its place, and why names were left out."""
     space = objective.space
     known = _known(objective, point)
     overcast = float(value(space.scene(torch.from_numpy(point)), places()["SKY_OVERCAST"]))
     pinned = undetermined(dict(zip(space.free, known.why, strict=True)), overcast)
     pinned = {name: why for name, why in pinned.items() if name not in options.free}
     if not pinned:
-        return space, {}
+        return space, space, {}
     start = pinned_scene(space, point, list(pinned), home)
     kept = SearchSpace(start, tuple(name for name in space.free if name not in pinned))
     pool = [name for name in POOL if name not in options.fixed and name not in pinned]
-    chosen = widened(replace(objective, space=kept), pool, len(space.free))
-    return chosen, {name: why for name, why in pinned.items() if name not in chosen.free}
+    return kept, widened(replace(objective, space=kept), pool, len(space.free)), pinned
 
 
 def _known(objective: SkyObjective, point: Point) -> Uncertainty:

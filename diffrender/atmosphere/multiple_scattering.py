@@ -77,14 +77,16 @@ def mean_radiance(medium: Medium, around: Paths) -> Float[Tensor, "heights suns 
     """
     edge = horizon_cosine(_heights(around.step.shape[0], around.step))[:, None]
     _, weight = _from_edge(around.step)
-    solid = torch.cat([(1.0 - edge) * weight, (1.0 + edge) * weight], -1)[:, None, :, None] / 2.0
+    solid = torch.cat([(1.0 - edge) * weight, (1.0 + edge) * weight], -1)[:, None, :, None, None] / 2.0
     steps, through = step_weights(medium, around)
     source = steps * (around.density @ medium.scattering())
     lit = transmittance(medium, around.sun_column) * around.sunlit
     bounced = through * around.ground * transmittance(medium, around.ground_column) * medium.ground_albedo / math.pi
-    first = (source * lit).sum(-2) / (4.0 * math.pi) + bounced
-    share = (source.sum(-2).mean(3) * solid).sum(2)
-    return (first.mean(3) * solid).sum(2) / (1.0 - share)
+    # Solid angles first: rays of all suns share them, so that the largest tensors are multiplied and summed once.
+    source = source * solid[..., None, :]
+    once = (source / (4.0 * math.pi * around.sunlit.shape[3]) * lit).sum((2, 3, 4))
+    share = source.sum((2, 3, 4))
+    return (once + (bounced * solid).mean(3).sum(2)) / (1.0 - share)
 
 
 def look_up(

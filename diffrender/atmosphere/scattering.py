@@ -12,6 +12,7 @@ holds at the horizon [1, section 3.4 of the method]. Everything here is geometry
     Applied Optics 31(16), 1992.
 """
 
+import itertools
 import math
 
 import torch
@@ -135,7 +136,7 @@ def _ozone_up(height: Tensor, cosine: Tensor) -> Tensor:
     borders = [OZONE_MIDDLE + share * OZONE_HALF_WIDTH for share in (-1.0, 0.0, 1.0)]
     reached = [_distance_up(height, cosine, border) for border in borders]
     total = torch.zeros_like(height)
-    for near, far in zip(reached, reached[1:], strict=False):
+    for near, far in itertools.pairwise(reached):
         for place, weight in GAUSS_4:
             distance = near + (far - near) * (0.5 + 0.5 * place)
             above = height_along(height, cosine, distance) - OZONE_MIDDLE
@@ -164,10 +165,30 @@ def horizon_cosine(height: Float[Tensor, "*batch"]) -> Float[Tensor, "*batch"]:
 
 
 def sunlit(height: Float[Tensor, "*batch"], cosine: Float[Tensor, "*batch"]) -> Float[Tensor, "*batch"]:
-    """Share of the sun's disc above the ground's edge, as a cubic over its diameter: 0 in the earth's shadow."""
-    rise = (cosine - horizon_cosine(height)) / (2.0 * math.sin(SUN_RADIUS)) + 0.5
-    share = torch.clamp(rise, 0.0, 1.0)
-    return share * share * (3.0 - 2.0 * share)
+    """Share of the sun's disc above the ground's edge: 0 in the earth's shadow, 1/2 when half is seen.
+
+    A polynomial within 0.5 % of the segment of a circle, whose slope at either end is 0.
+    """
+    rise = _rise(height, cosine)
+    square = rise * rise
+    # Slope (1 - x²)(a + b x²), where a = 2 / pi is the circle's in the middle, and b makes the ends 0 and 1.
+    middle, side = 2.0 / math.pi, 15.0 / 4.0 - 10.0 / math.pi
+    return 0.5 + rise * (middle + square * ((side - middle) / 3.0 - square * (side / 5.0)))
+
+
+def to_visible_sun(height: Float[Tensor, "*batch"], cosine: Float[Tensor, "*batch"]) -> Float[Tensor, "*batch"]:
+    """Cosine of the zenith angle of the middle of that part of the sun's disc which the ground leaves visible.
+
+    Light of a setting sun comes from there: the air towards the hidden part would dim it too much.
+    """
+    hidden = 1.0 - _rise(height, cosine)
+    # In radii, within 0.03 of the circle's segment: 0 for the whole disc, 4 / (3 pi) for the half, 1 for nothing.
+    return cosine + math.sin(SUN_RADIUS) * hidden * (0.5 - (0.5 - 4.0 / (3.0 * math.pi)) * (2.0 - hidden))
+
+
+def _rise(height: Tensor, cosine: Tensor) -> Tensor:
+    """Height of the sun's middle over the ground's edge in its radii, from -1, hidden, to 1, in full view."""
+    return torch.clamp((cosine - horizon_cosine(height)) / math.sin(SUN_RADIUS), -1.0, 1.0)
 
 
 @record
@@ -205,18 +226,26 @@ def paths(
     along = height_along(height[..., None], cos_view[..., None], middle)
     local_sun = (radius * cos_sun)[..., None] + middle * cos_angle[..., None]
     local_sun = torch.clamp(local_sun / (PLANET_RADIUS + along), -1.0, 1.0)
+    along_suns = along.expand_as(local_sun)
+    lit = sunlit(along_suns, local_sun)
     ground_sun = torch.clamp((radius * cos_sun + length * cos_angle) / PLANET_RADIUS, -1.0, 1.0)
     sea = torch.zeros_like(ground_sun)
     return Paths(
         step=length[..., None, None] * (border[1:] - border[:-1])[:, None],
         density=density(along),
         height=along,
-        sun_column=column(along.expand_as(local_sun), local_sun),
-        sunlit=sunlit(along.expand_as(local_sun), local_sun)[..., None],
+        sun_column=_lit_column(along_suns, local_sun, lit),
+        sunlit=lit[..., None],
         cos_sun=local_sun,
         ground=(lands * torch.relu(ground_sun) * sunlit(sea, ground_sun))[..., None],
-        ground_column=column(sea, ground_sun),
+        ground_column=_lit_column(sea, ground_sun, sunlit(sea, ground_sun)),
     )
+
+
+def _lit_column(height: Tensor, cos_sun: Tensor, lit: Tensor) -> Tensor:
+    """Column towards the sun; 0 in the dark, where it has no use, and exp() of a larger one is slow in float32."""
+    towards = column(height, to_visible_sun(height, cos_sun))
+    return torch.where((lit > 0.0)[..., None], towards, torch.zeros_like(towards))
 
 
 def _length(height: Tensor, cos_view: Tensor) -> tuple[Tensor, Tensor]:
@@ -236,8 +265,7 @@ def _length(height: Tensor, cos_view: Tensor) -> tuple[Tensor, Tensor]:
 
 def transmittance(medium: Medium, columns: Float[Tensor, "*batch 3"]) -> Float[Tensor, "*batch 3"]:
     """Share of light that passes columns of air, haze and ozone [m], by channel."""
-    # Beyond 80 nothing is left, and float32's exp takes ten times as long once its result is subnormal.
-    return torch.exp(-torch.clamp(columns @ medium.extinction(), max=80.0))
+    return torch.exp(-columns @ medium.extinction())
 
 
 def step_weights(medium: Medium, along: Paths) -> tuple[Float[Tensor, "*rays n 3"], Float[Tensor, "*rays 3"]]:

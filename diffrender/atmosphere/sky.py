@@ -81,7 +81,7 @@ class Sky:
         0.2, bounds=(0.0, 1.0), unit="1", about="share of light that the ground returns: brightens the sky from below",
     )  # fmt: skip
     overcast: Float[Tensor, ""] = parameter(
-        0.0, bounds=(0.0, 1.0), unit="1", about="share of the sky's light that comes from an even cloud layer",
+        0.0, bounds=(0.0, 1.0), unit="1", about="share of the light that comes from an even cloud layer, on the side where it is densest",
     )  # fmt: skip
     overcast_transmittance: Float[Tensor, "3"] = parameter(
         (0.35, 0.35, 0.35), bounds=(1e-3, 4.0), unit="1", scale="log",
@@ -207,7 +207,7 @@ def _scattered_once(air: Medium, rays: Paths, weights: Tensor) -> tuple[Tensor, 
 def _cloud_top(cos_sun: Tensor) -> CloudTop:
     top = torch.full_like(cos_sun, _CLOUD_TOP)
     irradiance = torch.relu(cos_sun) * scattering.sunlit(top, cos_sun)
-    return CloudTop(scattering.column(top, cos_sun), irradiance, cos_sun)
+    return CloudTop(scattering.column(top, scattering.to_visible_sun(top, cos_sun)), irradiance, cos_sun)
 
 
 def _cloud(air: Medium, top: CloudTop, mean: Tensor, suns: Tensor) -> Float[Tensor, "3"]:
@@ -310,8 +310,10 @@ def _compose(sky: Sky, view: SkyView, found: Tensor, cloud: Tensor) -> Float[Ten
 
 def overcast_share(sky: Sky, direction: Float[Tensor, "*batch 3"]) -> Float[Tensor, "*batch"]:
     """Share of the light from a direction that comes from the cloud layer, in [0, 1]."""
-    # Log odds that grow linearly over the ground plane, written so that shares of 0 and 1 stay exactly that.
-    odds = torch.exp(sky.overcast_ahead * direction[..., 0] + sky.overcast_left * direction[..., 1])
+    # Log odds that grow linearly over the ground plane, from about 1 on the side they lean to, so that the share and the
+    # lean are told apart; written so that shares of 0 and 1 stay exactly that.
+    lean = torch.sqrt(1.0 + sky.overcast_ahead * sky.overcast_ahead + sky.overcast_left * sky.overcast_left) - 1.0
+    odds = torch.exp(sky.overcast_ahead * direction[..., 0] + sky.overcast_left * direction[..., 1] - lean)
     return sky.overcast * odds / (1.0 - sky.overcast + sky.overcast * odds)
 
 
@@ -334,3 +336,20 @@ def _cos_azimuth(view: SkyView) -> Tensor:
     square = view.direction[..., :2].square().sum(-1) * view.to_sun[:2].square().sum(-1)
     apart = square > 1e-12
     return torch.where(apart, across / torch.sqrt(torch.where(apart, square, torch.ones_like(square))), across * 0.0)
+
+
+# PROVISIONAL (lead): replaced by helper 8's finished EFFECT, with its reference, bound and example inputs.
+EFFECT = Effect(
+    parameters=Sky,
+    prefix="SKY",
+    rungs={
+        "skip": Rung(skip),
+        "tables": Rung(render_tables, prepare),
+        "march single": Rung(render_single),
+        "march": Rung(render, prepare_march),
+    },
+    reference=render_single,
+    tolerance=1.0,
+    largest_change=render_single,
+    example_inputs=lambda dtype: dtype,
+)
