@@ -1,13 +1,12 @@
-"""How near fitted skies come to photos, beside the better of two peers and beside the floor of any smooth sky.
+"""How near fitted skies come to photos, beside the better of two peers and beside what any smooth sky may reach.
 
 Each photo is fitted by the command line with its mask and the sun at its seen place, and judged by E3 from the file
 `fitted.exr`. The peers, Mitsuba 3's sunsky (Hosek-Wilkie) and the sky of Lalonde and Matthews, had the same masks, the
 same place of the sun, and gains per channel.
 """
 
-import math
 import tempfile
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
@@ -16,6 +15,7 @@ from experiments.fit_command import fit_sky
 from experiments.harmonics_floor import harmonics_floor
 from experiments.log_error import log_error, read_mask, read_picture, sky_under
 from experiments.shots import Shot
+from experiments.timing import geometric_mean
 
 
 @dataclass(frozen=True)
@@ -49,16 +49,6 @@ def accuracy(shot: Shot) -> Accuracy:
         solve_seconds=fit.solve_seconds,
         converged=bool(fit.account["converged"]),
     )
-
-
-def geometric_mean(values: Iterable[float]) -> float:
-    """Root of the product.
-
-    >>> round(geometric_mean([1.0, 4.0]), 6)
-    2.0
-    """
-    logs = [math.log(value) for value in values]
-    return math.exp(sum(logs) / len(logs))
 
 
 def main(arguments: Sequence[str] | None = None) -> None:

@@ -57,6 +57,11 @@ class FitRun:
         """By the fit's own account; reading and writing are not in it."""
         return float(self.account["seconds"]["solve"])
 
+    @property
+    def read_seconds(self) -> float:
+        """By the fit's own account: all it does with whole pictures before it solves."""
+        return float(self.account["seconds"]["read"])
+
 
 def run(command: Sequence[str]) -> Process:
     """A command run to its end on two threads."""

@@ -1,7 +1,7 @@
-"""How near any smooth sky comes to a photo: E3 of free spherical harmonics up to order 4 of log radiance.
+"""About how near a smooth sky comes to a photo: E3 of free spherical harmonics up to order 4 of log radiance.
 
 25 coefficients a channel, found by least squares over the masked solid angle; no physics, no sun. What is left over
-is clouds, glare and noise.
+is clouds, noise, and the steep glow round the sun, by which a good sky can come nearer than these.
 """
 
 from collections.abc import Sequence

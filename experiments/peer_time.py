@@ -1,7 +1,8 @@
 """How long a fit's solve takes beside that of a peer in the same run, and beside its own on a larger photo.
 
-Ours is the solve of the command `fit sky` by its own account; the peer's is `experiments.mitsuba_sky`, three warm
-starts of L-BFGS-B. Both are processes of their own on two threads, run in turn.
+Ours is the solve of the command `fit sky` by its own account, cold; the peer's is `experiments.mitsuba_sky`, three
+starts of L-BFGS-B, warm. Both are processes of their own on two threads, run in turn. Reading a photo and averaging
+its pixels to fewer is in neither; it grows with the photo, and is told beside the growth of the solve.
 """
 
 import json
@@ -17,7 +18,7 @@ from experiments.fit_command import FitRun
 from experiments.log_error import log_error, read_mask, read_picture, sky_under
 from experiments.mitsuba_sky import PeerFit
 from experiments.shots import Shot
-from experiments.timing import Spread, interleaved, spread
+from experiments.timing import Spread, geometric_mean, interleaved, spread
 
 ROUNDS, LARGE_WIDTH, LARGE_SHOTS = 5, 8192, 2
 SMALL_ROUNDS, SMALL_LARGE_WIDTH = 1, 2048  # of the smallest size
@@ -48,13 +49,14 @@ class PeerTime:
 
 @dataclass(frozen=True)
 class Growth:
-    """Solve times of a photo as it is and enlarged [s], and what the whole command takes on the large one."""
+    """Solve times of a photo as it is and enlarged [s], and what else the command takes on the large one."""
 
     photo: str
     width: int
     as_it_is: Spread
     large: Spread
     ratio: Spread
+    read_seconds: Spread
     command_seconds: Spread
     peak_mebibytes: float
 
@@ -122,6 +124,7 @@ def growth(shot: Shot, width: int, rounds: int) -> Growth:
         as_it_is=timed.first,
         large=timed.second,
         ratio=timed.ratio,
+        read_seconds=spread([run.read_seconds for run in runs[1:]]),
         command_seconds=spread([run.process.seconds for run in runs[1:]]),
         peak_mebibytes=max(run.process.peak_bytes for run in runs) / MEBIBYTE,
     )
@@ -133,11 +136,13 @@ def main(arguments: Sequence[str] | None = None) -> None:
     rounds, width = (SMALL_ROUNDS, SMALL_LARGE_WIDTH) if given.is_small else (ROUNDS, LARGE_WIDTH)
     beside = [against_peer(shot, rounds) for shot in given.shots]
     grown = [growth(shot, width, rounds) for shot in given.shots[:LARGE_SHOTS]]
+    mean_ratio = geometric_mean(row.ratio.median for row in beside)
     print(peer_table(beside))
-    print()
+    print(f"geometric mean of the ratios: {mean_ratio:.3g}\n")
     print(growth_table(grown))
     written = given.out / "peer_time.json"
-    records.write(written, {"peer": [asdict(row) for row in beside], "growth": [asdict(row) for row in grown]})
+    content = {"peer": [asdict(row) for row in beside], "growth": [asdict(row) for row in grown]}
+    records.write(written, content | {"geometric_mean_ratio": mean_ratio})
     plots.peer_time(written)
 
 
@@ -162,7 +167,7 @@ def peer_table(rows: Sequence[PeerTime]) -> str:
 
 def growth_table(rows: Sequence[Growth]) -> str:
     """Text of the table of solve times on larger photos."""
-    head = ["photo", "width", "solve s", "solve s large", "ratio", "command s", "peak MiB"]
+    head = ["photo", "width", "solve s", "solve s large", "ratio", "read s", "command s", "peak MiB"]
     return records.table(
         head,
         [
@@ -172,6 +177,7 @@ def growth_table(rows: Sequence[Growth]) -> str:
                 str(row.as_it_is),
                 str(row.large),
                 str(row.ratio),
+                str(row.read_seconds),
                 str(row.command_seconds),
                 f"{row.peak_mebibytes:.0f}",
             ]

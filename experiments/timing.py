@@ -1,11 +1,12 @@
 """How long things take: warmed up, as median and quartiles, two of them in turn; and on which machine that was."""
 
+import math
 import os
 import platform
 import shutil
 import statistics
 import subprocess
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from importlib import metadata
@@ -53,6 +54,16 @@ def spread(measurements: Sequence[float]) -> Spread:
         return Spread(each[0], each[0], each[0], each)
     lower, median, upper = statistics.quantiles(each, n=4, method="inclusive")
     return Spread(median, lower, upper, each)
+
+
+def geometric_mean(values: Iterable[float]) -> float:
+    """Root of the product.
+
+    >>> round(geometric_mean([1.0, 4.0]), 6)
+    2.0
+    """
+    logs = [math.log(value) for value in values]
+    return math.exp(sum(logs) / len(logs))
 
 
 def interleaved(first: Seconds, second: Seconds, rounds: int) -> Comparison:

@@ -60,6 +60,7 @@ LEAN = 3.2  # towards the sun, of the clouds where a search begins
 COARSE = sky.Size(rows=20, columns=4, steps=14, heights=6, suns=12, steps_around=6)  # of the search's tables
 FINE = sky.Size()
 COARSE_PIXELS, FINE_PIXELS = 1200, 3000
+ROUGH_TOLERANCE, FINE_TOLERANCE = 3e-3, 3e-4  # of the loss
 
 
 @dataclass(frozen=True)
@@ -177,7 +178,7 @@ class _Found:
 
 def _search(home: Scene, pixels: Pixels, options: Options, minimise: Minimise) -> _Found:
     """Minimum on few pixels and coarse tables; again without what the photo leaves open; polished on more and finer."""
-    budget = Budget(seconds=options.seconds, seed=options.seed, tolerance=1e-4)
+    budget = Budget(seconds=options.seconds, seed=options.seed, tolerance=ROUGH_TOLERANCE)
     space = _space(options, home)
     rough = _objective(space, pixels, COARSE_PIXELS, COARSE, options.seed)
     minima = [minimise(rough, begin(space), budget)]
@@ -193,7 +194,7 @@ def _search(home: Scene, pixels: Pixels, options: Options, minimise: Minimise) -
                 minima.append(minimise(replace(rough, space=space), space.point(space.start), budget))
     if minima[-1].reason != INTERRUPTED:
         fine = _objective(space, pixels, FINE_PIXELS, FINE, options.seed + 1)
-        minima.append(minimise(fine, minima[-1].point, budget))
+        minima.append(minimise(fine, minima[-1].point, replace(budget, tolerance=FINE_TOLERANCE)))
     whole = replace(
         minima[-1],
         history=tuple(loss for minimum in minima for loss in minimum.history),

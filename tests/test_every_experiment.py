@@ -331,7 +331,9 @@ def test_peer_time_compares_what_both_sides_tell(photos, tmp_path, monkeypatch):
     (beside,), (grown,) = content["peer"], content["growth"]
     assert [beside[name]["median"] for name in ("ours", "peer", "ratio")] == [2.0, 6.0, 3.0]
     assert (grown["photo"], grown["ratio"]["median"]) == (NAME, 1.0)
+    assert grown["read_seconds"]["median"] == 1.0
     assert grown["peak_mebibytes"] > 10.0
+    assert content["geometric_mean_ratio"] == pytest.approx(3.0)
     assert (tmp_path / "peer_time.png").stat().st_size > 1000
 
 

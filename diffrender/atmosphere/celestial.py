@@ -41,7 +41,7 @@ class Sun:
         0.0,
         bounds=(-math.pi, math.pi),
         unit="rad",
-        about="from +x towards +y, the left of the picture",
+        about="of the middle of the disc, from the direction under the middle of the picture",
         in_files=("degrees to the right", -180.0 / math.pi),
     )
     irradiance: Float[Tensor, "3"] = parameter(
