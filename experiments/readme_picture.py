@@ -44,7 +44,9 @@ def side_by_side(path: Path) -> np.ndarray:
 
 
 def _shown(radiance: Float[np.ndarray, "h w 3"], exposure: float) -> np.ndarray:
-    return np.rint(255.0 * preview(torch.from_numpy(radiance), torch.tensor(exposure)).numpy()).astype(np.uint8)
+    shown: np.ndarray = preview(torch.from_numpy(radiance), torch.tensor(exposure)).numpy()
+    pixels: np.ndarray = np.rint(255.0 * shown).astype(np.uint8)
+    return pixels
 
 
 def _difference(shot: np.ndarray, model: np.ndarray, used: np.ndarray) -> np.ndarray:
@@ -53,7 +55,8 @@ def _difference(shot: np.ndarray, model: np.ndarray, used: np.ndarray) -> np.nda
     warm, cold = np.clip(stops, 0.0, 1.0), np.clip(-stops, 0.0, 1.0)
     shown = np.stack([1.0 - cold, 1.0 - warm - cold, 1.0 - warm], -1)
     shown[~used] = 0.6
-    return np.rint(255.0 * np.clip(shown, 0.0, 1.0)).astype(np.uint8)
+    pixels: np.ndarray = np.rint(255.0 * np.clip(shown, 0.0, 1.0)).astype(np.uint8)
+    return pixels
 
 
 if __name__ == "__main__":

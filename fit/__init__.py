@@ -1,0 +1,1 @@
+"""Fits of effects to photos, weather files, and the command line."""

@@ -1,6 +1,7 @@
 """The command line: reads, fits, writes; no mathematics."""
 
 import io
+import os
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -165,7 +166,14 @@ def _progress(what: str, quiet: bool) -> Iterator[None]:
 
 def _say(text: str) -> None:
     # File names may hold bytes that are no text and characters that move a terminal's cursor.
-    typer.echo("\n".join(_visible(line) for line in text.split("\n")))
+    try:
+        typer.echo("\n".join(_visible(line) for line in text.split("\n")))
+    except OSError as error:
+        # What is left in its buffer would fail again, with a traceback, when the program ends.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        raise InputError(
+            f"the results are written, but not told: standard output fails ({error.strerror}); use --quiet"
+        ) from error
 
 
 def _visible(text: str) -> str:

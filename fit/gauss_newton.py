@@ -46,6 +46,19 @@ class QuadraticModel:
         curvature: np.ndarray[Any, np.dtype[np.float64]] = (self.jacobian.T @ self.jacobian).numpy()
         return curvature
 
+    @property
+    def turned_jacobian(self) -> Float64[np.ndarray, "m n"]:
+        """Jacobian of n + 1 residuals that make the same model: axes turned so that the first is the residuals' own.
+
+        There the residuals are their length and n zeros.
+        """
+        length = math.sqrt(2.0 * self.loss)
+        along = self.gradient / length if length > 0.0 else np.zeros_like(self.gradient)
+        across = self.curvature - np.outer(along, along)
+        values, axes = np.linalg.eigh(across)
+        # Rounding may take a value of 0 below it.
+        return np.vstack([along, np.sqrt(values.clip(0.0))[:, None] * axes.T])
+
     def lowest(self, damping: float) -> Float64[np.ndarray, " n"]:
         """Point of the cube where the model is lowest, exactly on the faces that hold it back.
 

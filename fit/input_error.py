@@ -2,4 +2,4 @@
 
 
 class InputError(ValueError):
-    """One line that says what was given, what is allowed and what to do; the command line prints it and exits with 2."""
+    """One line that says what was given, what is allowed and what to do; the command line exits with 2."""

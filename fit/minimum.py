@@ -89,26 +89,28 @@ class Watch:
         self.began = self.clock()
 
     def evaluate(self, point: Point) -> float:
-        """Loss at a point, infinite where it is not finite.
+        """Loss at a point, infinite where it is not finite; not another evaluation at the point evaluated last.
 
         Raises:
             OutOfBudget: when the budget allows no further evaluation.
         """
+        if _same(point, self.latest):
+            return self.history[-1]
         loss = half_square(self.objective.residuals(torch.tensor(point)))
         self._saw(point, loss)
         return loss
 
     def model(self, point: Point) -> QuadraticModel:
-        """Loss, gradient and curvature at a point; not another evaluation at the point evaluated last.
+        """Loss, gradient and curvature at a point; not another evaluation at the point evaluated last or at the best.
 
         Raises:
             OutOfBudget: when the budget allows no further evaluation.
         """
-        if self.latest_model is not None and np.array_equal(self.latest_model.point, point):
+        if self.latest_model is not None and _same(point, self.latest_model.point):
             return self.latest_model
         model = QuadraticModel(point.copy(), *self.objective.jacobian(torch.tensor(point)))
         self.latest_model = model
-        if self.latest is None or not np.array_equal(self.latest, point):
+        if not (_same(point, self.latest) or _same(point, self.best)):
             self._saw(point, model.loss)
         return model
 
@@ -130,17 +132,24 @@ class Watch:
         """What a search that cannot take infinity is told instead: finite, and worse than all it has seen."""
         return 10.0 * self.worst + 1.0
 
+    @property
+    def best_point(self) -> Point:
+        """Best point so far, which a search has from its finite start on."""
+        assert self.best is not None
+        return self.best
+
+    def is_worthless(self, decrease: float) -> bool:
+        """Whether a decrease of the loss is too small to search for."""
+        # Where residuals can vanish, a step promises all that is left; the loss at the start is the scale there.
+        first = next(loss for loss in self.history if math.isfinite(loss))
+        return decrease <= max(NEGLIGIBLE * self.loss, self.budget.tolerance * first)
+
     def is_settled(self) -> bool:
         """Whether a Gauss-Newton step from the best point promises no gain worth having."""
         if self.best is None:
             return False
-        model = QuadraticModel(self.best, *self.objective.jacobian(torch.tensor(self.best)))
-        if not model.is_finite:
-            return False
-        # Where residuals can vanish, a step promises all that is left; the loss at the start is the scale there.
-        first = next(loss for loss in self.history if math.isfinite(loss))
-        worth = max(NEGLIGIBLE * self.loss, self.budget.tolerance * first)
-        return model.decrease(model.lowest(damping=0.0)) <= worth
+        model = self.model(self.best)
+        return model.is_finite and self.is_worthless(model.decrease(model.lowest(damping=0.0)))
 
     def settle_on_bounds(self) -> None:
         """Move coordinates that nearly touch their bound onto it, where the loss does not grow."""
@@ -177,6 +186,10 @@ class Watch:
             raise OutOfBudget("evaluations used up")
         if self.budget.seconds is not None and self.clock() - self.began > self.budget.seconds:
             raise OutOfBudget("seconds used up")
+
+
+def _same(point: Point, other: Point | None) -> bool:
+    return other is not None and np.array_equal(point, other)
 
 
 Search = Callable[[Watch, Point], Ending]

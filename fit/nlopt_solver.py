@@ -66,7 +66,7 @@ def _search(watch: Watch, start: Point, *, algorithm: str) -> Ending:
             break
         # BOBYQA's model of the loss, for one, never recovers from a penalty; a new run from the best point does.
         told.penalties = 0
-        result = _run(told, start if watch.best is None else watch.best, algorithm)
+        result = _run(told, watch.best_point, algorithm)
     return Ending(ENDINGS.get(result, f"{algorithm} failed"), watch.is_settled())
 
 

@@ -1,4 +1,4 @@
-"""What a sky fit makes small: the difference of log radiance between photo and model, its gains solved in closed form."""
+"""What a sky fit makes small: differences of log radiance between photo and model, gains solved in closed form."""
 
 from collections.abc import Callable
 from dataclasses import dataclass

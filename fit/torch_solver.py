@@ -40,7 +40,7 @@ def _adam(watch: Watch, start: Point) -> Ending:
             # Back to firm ground, without the moments that led away from it, and more carefully.
             optimiser.state.clear()
             optimiser.param_groups[0]["lr"] *= 0.5
-            point.copy_(torch.tensor(watch.best))
+            point.copy_(torch.tensor(watch.best_point))
             point.grad = torch.tensor(watch.model(point.numpy()).gradient)
         optimiser.step()
         schedule.step()

@@ -1,5 +1,4 @@
 import json
-import resource
 import signal
 import subprocess
 import sys
@@ -67,6 +66,13 @@ def folder(tmp_path_factory):
     (folder / "broken.csv").write_text("# weather 1\nTIME_OF_DAY,12\nSKY_HAZINESS,much\n")
     (folder / "no_sky.csv").write_text("# weather 1\nTIME_OF_DAY,12\nEXPOSURE,1\n")
     weather_file.write(folder / "day.csv", of_photo(HAZY_MORNING, None, {}))
+    return folder
+
+
+@pytest.fixture
+def inside(folder, monkeypatch):
+    """The same folder, as the one the command runs in."""
+    monkeypatch.chdir(folder)
     return folder
 
 
@@ -145,12 +151,11 @@ BAD = {
 
 
 @pytest.mark.parametrize(("words", "said"), [(w, s) for w, *s in BAD.values()], ids=BAD)
-def test_bad_input_is_one_line_and_leaves_nothing(run, folder, tmp_path, monkeypatch, words, said):
-    monkeypatch.chdir(folder)
-    before = sorted(folder.iterdir())
+def test_bad_input_is_one_line_and_leaves_nothing(run, inside, tmp_path, words, said):
+    before = sorted(inside.iterdir())
     assert_refused(run("sky", *words, "--out", tmp_path / "out"), *said)
     assert not any(tmp_path.iterdir())
-    assert sorted(folder.iterdir()) == before
+    assert sorted(inside.iterdir()) == before
 
 
 BAD_RENDER = {
@@ -167,8 +172,8 @@ BAD_RENDER = {
 
 
 @pytest.mark.parametrize(("words", "said"), [(w, s) for w, *s in BAD_RENDER.values()], ids=BAD_RENDER)
-def test_bad_input_of_render_is_one_line_and_leaves_nothing(run, folder, tmp_path, monkeypatch, words, said):
-    monkeypatch.chdir(folder)
+@pytest.mark.usefixtures("inside")
+def test_bad_input_of_render_is_one_line_and_leaves_nothing(run, tmp_path, words, said):
     assert_refused(run("render", *words, "--out", tmp_path / "out.exr"), *said)
     assert not any(tmp_path.iterdir())
 
@@ -217,8 +222,8 @@ main()
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("room", [100, 10_000])  # not even the first file; not the picture
-def test_a_full_disk_leaves_the_results_of_before(folder, tmp_path, room):
+@pytest.mark.parametrize(("room", "name"), [(100, ""), (10_000, "new")])  # not even the first file; not the picture
+def test_a_full_disk_leaves_the_results_of_before(folder, tmp_path, room, name):
     (tmp_path / "weather.csv").write_text("of before")
     words = [room, "sky", folder / "sky.exr", *QUICK, "--out"]
     for out in (tmp_path, tmp_path / "new"):

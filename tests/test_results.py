@@ -3,6 +3,7 @@ import math
 import os
 from dataclasses import replace
 from datetime import datetime, timedelta, timezone
+from pathlib import Path
 
 import numpy as np
 import OpenEXR
@@ -144,8 +145,7 @@ def test_a_cubemap_names_its_faces():
 
 def test_results_go_into_a_folder_of_the_photo_s_name(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    place = results.folder(None, tmp_path / "dusk.exr")
-    assert str(place) == os.path.join("tuned", "dusk")
+    assert results.folder(None, tmp_path / "dusk.exr") == Path("tuned") / "dusk"
     assert not any(tmp_path.iterdir())
 
 

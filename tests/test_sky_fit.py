@@ -202,12 +202,12 @@ def test_an_interrupt_gives_the_best_so_far(monkeypatch):
 
 
 def test_a_black_photo_is_refused():
-    with pytest.raises(InputError, match="black where the sky is|no light above the horizon|no sky found"):
+    with pytest.raises(InputError, match=r"black where the sky is|no light above the horizon|no sky found"):
         fit(photo(np.zeros_like(SEEN)), GIVEN)
 
 
 def test_a_photo_without_a_usable_pixel_is_refused():
-    with pytest.raises(InputError, match="no light above the horizon|usable pixels|no sky found"):
+    with pytest.raises(InputError, match=r"no light above the horizon|usable pixels|no sky found"):
         fit(photo(np.full_like(SEEN, np.nan)), GIVEN)
 
 

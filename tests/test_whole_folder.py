@@ -50,11 +50,11 @@ def test_the_last_file_takes_its_place_last(tmp_path, monkeypatch):
     assert [name for name in order if not name.endswith(".part")][-1] == "b"
 
 
-class Accident(Exception):
+class AccidentError(Exception):
     pass
 
 
-@pytest.mark.parametrize("accident", [Accident, KeyboardInterrupt])
+@pytest.mark.parametrize("accident", [AccidentError, KeyboardInterrupt])
 def test_when_the_block_raises_nothing_has_changed(tmp_path, accident):
     (tmp_path / "a").write_bytes(b"before")
     with pytest.raises(accident), whole_folder(tmp_path, last="b") as aside:
@@ -66,8 +66,8 @@ def test_when_the_block_raises_nothing_has_changed(tmp_path, accident):
 
 def test_folders_made_for_a_failing_write_are_removed_again(tmp_path):
     (tmp_path / "there").mkdir()
-    with pytest.raises(Accident), whole_folder(tmp_path / "there" / "x" / "y", last="b"):
-        raise Accident
+    with pytest.raises(AccidentError), whole_folder(tmp_path / "there" / "x" / "y", last="b"):
+        raise AccidentError
     assert names(tmp_path / "there") == []
 
 
