@@ -72,7 +72,7 @@ class QuadraticModel:
         triangle = np.linalg.cholesky(damped, upper=True)
         target = triangle @ self.point - np.linalg.solve(triangle.T, self.gradient)
         found = lsq_linear(triangle, target, bounds=(0.0, 1.0), method="bvls", tol=1e-14, max_iter=10 * target.size)
-        lowest: np.ndarray[Any, np.dtype[np.float64]] = found.x
+        lowest: np.ndarray[Any, np.dtype[np.float64]] = found.x.clip(0.0, 1.0)  # rounding may step over a bound
         return lowest
 
     def decrease(self, point: Float64[np.ndarray, " n"]) -> float:

@@ -1,4 +1,4 @@
-"""The local solver of every fit: scipy's trust region inside the cube, finished by Gauss-Newton steps that reach its faces.
+"""The local solver of every fit: scipy's trust region inside the cube, then Gauss-Newton steps that reach its faces.
 
 scipy's `trf` [1] keeps off bounds, where a share of 0 would hide the slopes of all that it multiplies; steps that go
 onto bounds at once were measured to end in worse minima of skies. It pays for that by creeping up to a bound that

@@ -21,10 +21,14 @@ class SearchSpace:
     def scene(self, point: Float[Tensor, " n"]) -> Scene:
         """Scene at a point of the unit cube; differentiable."""
         known = places()
-        scene = self.start
+        parts: dict[str, dict[str, Tensor]] = {}
         for name, unit in zip(self.free, point.unbind(), strict=True):
-            scene = put(scene, known[name], known[name].specification.from_unit(unit))
-        return scene
+            place = known[name]
+            fields = parts.setdefault(place.part, {})
+            whole = fields.get(place.field, getattr(getattr(self.start, place.part), place.field))
+            fields[place.field] = _with_channel(whole, place.channel, place.specification.from_unit(unit))
+        # One new record for each part: this runs at every evaluation.
+        return replace(self.start, **{part: replace(getattr(self.start, part), **new) for part, new in parts.items()})
 
     def point(self, scene: Scene) -> Point:
         """Point of the unit cube where a scene stands."""
@@ -35,11 +39,16 @@ class SearchSpace:
 def put(scene: Scene, place: Place, value: Tensor) -> Scene:
     """Scene with another value in one place."""
     part = getattr(scene, place.part)
-    if place.channel is not None:
-        channels = list(getattr(part, place.field).unbind())
-        channels[place.channel] = value
-        value = torch.stack(channels)
-    return replace(scene, **{place.part: replace(part, **{place.field: value})})
+    whole = _with_channel(getattr(part, place.field), place.channel, value)
+    return replace(scene, **{place.part: replace(part, **{place.field: whole})})
+
+
+def _with_channel(whole: Tensor, channel: int | None, value: Tensor) -> Tensor:
+    if channel is None:
+        return value
+    channels = list(whole.unbind())
+    channels[channel] = value
+    return torch.stack(channels)
 
 
 def value(scene: Scene, place: Place) -> Tensor:

@@ -57,9 +57,9 @@ POOL = (
     "SKY_OVERCAST_TRANSMITTANCE_B",
 )
 LEAN = 3.2  # towards the sun, of the clouds where a search begins
-COARSE = sky.Size(rows=20, columns=4, steps=14, heights=6, suns=12, steps_around=6)  # of the search's tables
+COARSE = sky.Size(rows=14, columns=3, steps=10, heights=5, suns=8, steps_around=5)  # of the search's tables
 FINE = sky.Size()
-COARSE_PIXELS, FINE_PIXELS = 1200, 3000
+COARSE_PIXELS, FINE_PIXELS = 800, 2000
 ROUGH_TOLERANCE, FINE_TOLERANCE = 3e-3, 3e-4  # of the loss
 
 
@@ -106,8 +106,8 @@ def fit(photo: Photo | Path, options: Options | None = None) -> Solution:
     home = _home(options, place)
     read = time.monotonic()
     found = _search(home, pixels, options, minimise)
-    space, minimum = found.space, found.minimum
-    scene, error, known = _account(space, pixels, minimum, options.seed)
+    space, minimum = found.fine.space, found.minimum
+    scene, error, known = _account(found.fine, pixels, minimum)
     solved = time.monotonic()
     parameters = _parameters(scene, found, known, options)
     kept = [index for index, name in enumerate(space.free) if parameters[name].determined]
@@ -171,37 +171,42 @@ def _space(options: Options, home: Scene) -> SearchSpace:
 
 @dataclass(frozen=True)
 class _Found:
-    space: SearchSpace
+    fine: SkyObjective
     minimum: Minimum
     pinned: Mapping[str, str]  # names that were searched in vain, and why
 
 
 def _search(home: Scene, pixels: Pixels, options: Options, minimise: Minimise) -> _Found:
     """Minimum on few pixels and coarse tables; again without what the photo leaves open; polished on more and finer."""
-    budget = Budget(seconds=options.seconds, seed=options.seed, tolerance=ROUGH_TOLERANCE)
+    began = time.monotonic()
+
+    def solve(objective: SkyObjective, start: Point, tolerance: float) -> Minimum:
+        left = None if options.seconds is None else max(options.seconds - (time.monotonic() - began), 0.0)
+        return minimise(objective, start, Budget(seconds=left, seed=options.seed, tolerance=tolerance))
+
     space = _space(options, home)
     rough = _objective(space, pixels, COARSE_PIXELS, COARSE, options.seed)
-    minima = [minimise(rough, begin(space), budget)]
+    minima = [solve(rough, begin(space), ROUGH_TOLERANCE)]
     pinned: dict[str, str] = {}
     if minima[-1].reason != INTERRUPTED:
         kept, wider, pinned = _reselected(rough, minima[-1].point, home, options)
         if pinned:
-            minima.append(minimise(replace(rough, space=wider), begin(wider), budget))
             space = wider
-            if minima[-1].loss > minima[0].loss:
-                # Others in their place led to a worse minimum.
-                space = kept
-                minima.append(minimise(replace(rough, space=space), space.point(space.start), budget))
+            minima.append(solve(replace(rough, space=space), begin(space), ROUGH_TOLERANCE))
+        if minima[-1].reason != INTERRUPTED and minima[-1].loss > minima[0].loss:
+            # Others in their place led to a worse minimum.
+            space = kept
+            minima.append(solve(replace(rough, space=space), space.point(space.start), ROUGH_TOLERANCE))
+    fine = _objective(space, pixels, FINE_PIXELS, FINE, options.seed + 1)
     if minima[-1].reason != INTERRUPTED:
-        fine = _objective(space, pixels, FINE_PIXELS, FINE, options.seed + 1)
-        minima.append(minimise(fine, minima[-1].point, replace(budget, tolerance=FINE_TOLERANCE)))
+        minima.append(solve(fine, minima[-1].point, FINE_TOLERANCE))
     whole = replace(
         minima[-1],
         history=tuple(loss for minimum in minima for loss in minimum.history),
         iterations=sum(minimum.iterations for minimum in minima),
         evaluations=sum(minimum.evaluations for minimum in minima),
     )
-    return _Found(space, whole, pinned)
+    return _Found(fine, whole, pinned)
 
 
 def _reselected(
@@ -250,15 +255,14 @@ def _geometry(space: SearchSpace, size: sky.Size) -> Callable[[Scene], sky.Geome
     return lambda _: kept
 
 
-def _account(space: SearchSpace, pixels: Pixels, minimum: Minimum, seed: int) -> tuple[Scene, float, Uncertainty]:
+def _account(objective: SkyObjective, pixels: Pixels, minimum: Minimum) -> tuple[Scene, float, Uncertainty]:
     """Scene with its gains, its error over all used pixels, and how well each coordinate is determined."""
     point = torch.from_numpy(minimum.point)
-    objective = _objective(space, pixels, FINE_PIXELS, FINE, seed + 1)
     known = _known(objective, minimum.point)
     whole = replace(objective, sample=_sample(pixels, torch.arange(int(pixels.used.sum()))))
     weight = pixels.solid_angle[pixels.used].double()
     gains, error = _closed_form_gains(whole.radiance(point), whole.sample, weight / weight.sum())
-    return _exposed(space.scene(point), gains), error, known
+    return _exposed(objective.space.scene(point), gains), error, known
 
 
 def _closed_form_gains(
@@ -296,7 +300,7 @@ def _gains(scene: Scene) -> tuple[float, float, float]:
 def _parameters(scene: Scene, found: _Found, known: Uncertainty, options: Options) -> dict[str, Fitted]:
     """Every parameter of the scene, in files' units."""
     stands = places()
-    space = found.space
+    space = found.fine.space
     parameters = {}
     for name, in_file in keyframes.values(scene).items():
         specification = stands[name].specification

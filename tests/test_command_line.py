@@ -225,13 +225,12 @@ main()
 @pytest.mark.parametrize(("room", "name"), [(100, ""), (10_000, "new")])  # not even the first file; not the picture
 def test_a_full_disk_leaves_the_results_of_before(folder, tmp_path, room, name):
     (tmp_path / "weather.csv").write_text("of before")
-    words = [room, "sky", folder / "sky.exr", *QUICK, "--out"]
-    for out in (tmp_path, tmp_path / "new"):
-        ended = subprocess.run(
-            [sys.executable, "-c", FULL_DISK, *map(str, words), str(out)], capture_output=True, text=True, check=False
-        )
-        assert_refused((ended.returncode, ended.stdout, ended.stderr), "cannot be written", str(out))
-        assert ".part" not in ended.stderr
+    words = [room, "sky", folder / "sky.exr", *QUICK, "--out", tmp_path / name]
+    ended = subprocess.run(
+        [sys.executable, "-c", FULL_DISK, *map(str, words)], capture_output=True, text=True, check=False
+    )
+    assert_refused((ended.returncode, ended.stdout, ended.stderr), "cannot be written", str(tmp_path / name))
+    assert ".part" not in ended.stderr
     assert [path.name for path in tmp_path.iterdir()] == ["weather.csv"]
     assert (tmp_path / "weather.csv").read_text() == "of before"
 
@@ -302,6 +301,17 @@ def test_progress_is_shown_on_a_terminal_s_standard_error_alone(run, folder, tmp
     _, out, err = run("sky", folder / "sky.exr", *QUICK, "--out", tmp_path)
     assert "fitting" in err
     assert "fitting" not in out
+
+
+@pytest.mark.slow
+def test_a_summary_that_no_one_can_read_is_one_line(folder, tmp_path):
+    with Path("/dev/full").open("w") as full:
+        ended = subprocess.run(
+            [sys.executable, "-m", "fit", "sky", str(folder / "sky.exr"), *QUICK, "--out", str(tmp_path)],
+            stdout=full, stderr=subprocess.PIPE, text=True, check=False,
+        )  # fmt: skip
+    assert_refused((ended.returncode, "", ended.stderr), "the results are written")
+    assert sorted(path.name for path in tmp_path.iterdir()) == FILES
 
 
 # Interrupts

@@ -30,7 +30,7 @@ def made():
     elevation, azimuth = torch.rand(2, COUNT, generator=generator, dtype=torch.float64)
     direction = rays.from_angles(0.1 + 1.4 * elevation, 6.28 * azimuth)
     truth = {**HAZY_MORNING, "SKY_OVERCAST": 0.3, "SKY_OVERCAST_LEFT": 0.5}
-    ones = {name: 1.0 for name in ("EXPOSURE", "SUN_IRRADIANCE_R", "SUN_IRRADIANCE_G", "SUN_IRRADIANCE_B")}
+    ones = dict.fromkeys(("EXPOSURE", "SUN_IRRADIANCE_R", "SUN_IRRADIANCE_G", "SUN_IRRADIANCE_B"), 1.0)
     space = SearchSpace(keyframes.scene({**truth, **ones}, torch.float64), FREE)
     geometry = sky.geometry(sky_view(space.start, direction[:1]), SIZE)
     blank = Sample(direction, torch.zeros(COUNT, 3, dtype=torch.float64), FLOOR)

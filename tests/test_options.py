@@ -95,7 +95,7 @@ def test_a_camera_follows_from_size_and_projection(given, camera):
         (("1024", None, None, 0.0), "--size 1024; give WIDTHxHEIGHT"),
         (("0x512", None, None, 0.0), "give WIDTHxHEIGHT"),
         (("-4x2", None, None, 0.0), "give WIDTHxHEIGHT"),
-        (("１０x５", None, None, 0.0), "give WIDTHxHEIGHT"),
+        (("\uff11\uff10x\uff15", None, None, 0.0), "give WIDTHxHEIGHT"),
         (("99999x99999", None, None, 0.0), "at most 64,000,000 pixels"),
         (("640x480", None, None, 0.0), "no shape of a panorama"),
         (("640x480", "fisheye", None, 0.0), "--projection fisheye is unknown; allowed are equirectangular"),

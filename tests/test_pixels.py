@@ -5,7 +5,7 @@ import pytest
 import torch
 from synthetic_sky import photo
 
-from diffrender.rays import Cubemap, Equirectangular, Perspective, STRIP_LYING
+from diffrender.rays import STRIP_LYING, Cubemap, Equirectangular, Perspective
 from fit import pixels
 from fit.pixels import averaged, stratified, usable
 

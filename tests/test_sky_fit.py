@@ -147,7 +147,7 @@ def test_what_is_fixed_stays_where_it_is(solution):
 
 def test_a_start_keeps_what_is_not_searched():
     start = keyframes.scene({**HAZY_MORNING, "SKY_GROUND_ALBEDO": 0.2, "SKY_OZONE": 1.5}, torch.float64)
-    fixed = {name: 0.0 for name in ("SKY_OVERCAST", "SKY_OVERCAST_AHEAD", "SKY_OVERCAST_LEFT")}
+    fixed = dict.fromkeys(("SKY_OVERCAST", "SKY_OVERCAST_AHEAD", "SKY_OVERCAST_LEFT"), 0.0)
     found = fit(photo(SEEN), Options(sun=SUN, start=start, fixed=fixed))
     kept = [name for name, fitted in found.parameters.items() if fitted.why == "kept"]
     truth = keyframes.values(start)

@@ -214,10 +214,15 @@ def test_every_algorithm_of_nlopt_solves_or_is_refused_in_words(name: str) -> No
 
 
 @pytest.mark.parametrize("name", [*LOCAL, *GLOBAL])
-@pytest.mark.parametrize("call", [1, 3, 6])
-def test_one_loss_that_is_not_a_number_is_survived(name: str, call: int) -> None:
+@pytest.mark.parametrize("place", [1, 3, 5])
+def test_one_loss_that_is_not_a_number_is_survived(name: str, place: int) -> None:
     problem = bowl(0.3, 0.8)
-    problem.fault = lambda count: math.nan if count == call else 1.0
+
+    def fault(_: int) -> float:
+        places = list(dict.fromkeys(point.tobytes() for point in problem.asked))
+        return math.nan if problem.asked[-1].tobytes() in places[place - 1 : place] else 1.0
+
+    problem.fault = fault
     found = solver(name)(problem, np.array([0.9, 0.2]), PLENTY)
     assert found.point == pytest.approx([0.3, 0.8], abs=1e-2)
     assert math.isfinite(found.loss)
@@ -244,17 +249,17 @@ def test_region_without_finite_loss_is_avoided(name: str) -> None:
     assert found.converged
 
 
-def test_point_without_finite_derivative_is_a_failed_step() -> None:
-    problem = bowl(0.3, 0.8)
-
+def test_search_that_meets_a_missing_derivative_says_so() -> None:
     class Halting(Problem):
         def jacobian(self, point: Tensor) -> tuple[Tensor, Tensor]:
             residuals, jacobian = super().jacobian(point)
-            return residuals, jacobian * (math.nan if self.calls == 3 else 1.0)
+            return residuals, jacobian * (math.nan if self.calls > 1 else 1.0)
 
-    halting = Halting(problem.function, 2)
-    found = solver("least-squares")(halting, problem.start, Budget())
-    assert found.point == pytest.approx([0.3, 0.8], abs=1e-3)
+    halting = Halting(bowl(0.3, 0.8).function, 2)
+    found = solver("least-squares")(halting, halting.start, Budget())
+    assert found.loss < halting.loss(halting.start)
+    assert "no derivative" in found.reason
+    assert not found.converged
 
 
 @pytest.mark.parametrize("name", [*LOCAL, *GLOBAL])
@@ -362,11 +367,10 @@ def test_flat_loss_has_converged_at_the_start() -> None:
 
 def test_least_squares_asks_for_each_point_once() -> None:
     problem = decay(noise=0.05)
-    problem.fault = lambda _: 1.0
     found = solver("least-squares")(problem, problem.start, Budget())
-    points = {point.tobytes() for point in problem.asked}
-    assert found.evaluations == len(points)
-    assert problem.calls == found.evaluations + found.iterations
+    points = [point.tobytes() for point in problem.asked]
+    assert found.evaluations == len(set(points))
+    assert max(points.count(point) for point in points) == 2  # its residuals, then its derivatives
 
 
 def test_coordinate_settles_on_a_bound_only_where_the_loss_does_not_grow() -> None:

@@ -54,20 +54,25 @@ class AccidentError(Exception):
     pass
 
 
+def interrupted_write(folder, accident):
+    with whole_folder(folder, last="b") as aside:
+        write_bytes(aside / "a", b"after")
+        raise accident
+
+
 @pytest.mark.parametrize("accident", [AccidentError, KeyboardInterrupt])
 def test_when_the_block_raises_nothing_has_changed(tmp_path, accident):
     (tmp_path / "a").write_bytes(b"before")
-    with pytest.raises(accident), whole_folder(tmp_path, last="b") as aside:
-        write_bytes(aside / "a", b"after")
-        raise accident
+    with pytest.raises(accident):
+        interrupted_write(tmp_path, accident)
     assert names(tmp_path) == ["a"]
     assert (tmp_path / "a").read_bytes() == b"before"
 
 
 def test_folders_made_for_a_failing_write_are_removed_again(tmp_path):
     (tmp_path / "there").mkdir()
-    with pytest.raises(AccidentError), whole_folder(tmp_path / "there" / "x" / "y", last="b"):
-        raise AccidentError
+    with pytest.raises(AccidentError):
+        interrupted_write(tmp_path / "there" / "x" / "y", AccidentError)
     assert names(tmp_path / "there") == []
 
 

@@ -23,6 +23,7 @@ from diffrender.numerics import lookup, safe_sqrt
 
 HEIGHTS, SUNS, STEPS = 8, 12, 8  # of the table
 _SUN_SCALE = 0.06  # cosine over which the table's columns are dense round the horizon
+_EDGE_TO_TOP = math.sqrt(TOP * (2.0 * PLANET_RADIUS + TOP))  # length of a ray from the ground's edge to space [m]
 _DARK = 1e-12  # mean radiance [1/sr] far below that of the deepest twilight
 
 # Gauss and Legendre's rule on [0, 1]: place and weight of each of its five nodes.
@@ -31,12 +32,12 @@ _GAUSS_5 = ((0.04691007703066802, 0.11846344252809454), (0.23076534494715845, 0.
 
 
 def sun_range(cos_sun: Float[Tensor, ""], eye_altitude: Float[Tensor, ""]) -> Float[Tensor, "2"]:
-    """First and last column of the table, in the table's own scale: the sun's place over all points of an eye's rays."""
-    radius = PLANET_RADIUS + eye_altitude
-    edge = safe_sqrt(eye_altitude * (radius + PLANET_RADIUS)), safe_sqrt(cos_sun.new_tensor(TOP * (2.0 * PLANET_RADIUS + TOP)))
+    """Borders of the table's columns, in their own scale: how the sun stands over all points of an eye's rays."""
+    to_edge, beyond = safe_sqrt(eye_altitude * (2.0 * PLANET_RADIUS + eye_altitude)), _EDGE_TO_TOP
     # Cosine and sine of the angle, at the planet's middle, between the eye and the end of its longest ray.
-    cosine = (PLANET_RADIUS * PLANET_RADIUS - edge[0] * edge[1]) / (radius * (PLANET_RADIUS + TOP))
-    sine = PLANET_RADIUS * (edge[0] + edge[1]) / (radius * (PLANET_RADIUS + TOP))
+    whole = (PLANET_RADIUS + eye_altitude) * (PLANET_RADIUS + TOP)
+    cosine = (PLANET_RADIUS * PLANET_RADIUS - to_edge * beyond) / whole
+    sine = PLANET_RADIUS * (to_edge + beyond) / whole
     sin_sun = safe_sqrt(1.0 - cos_sun * cos_sun)
     low = torch.where(cos_sun > -cosine, cos_sun * cosine - sin_sun * sine, -torch.ones_like(cos_sun))
     high = torch.where(cos_sun < cosine, cos_sun * cosine + sin_sun * sine, torch.ones_like(cos_sun))
@@ -49,9 +50,7 @@ def _from_edge(like: Tensor) -> tuple[Tensor, Tensor]:
     return place * place, 2.0 * place * weight
 
 
-def table_paths(
-    suns: Float[Tensor, "2"], heights: int = HEIGHTS, columns: int = SUNS, steps: int = STEPS
-) -> Paths:
+def table_paths(suns: Float[Tensor, "2"], heights: int = HEIGHTS, columns: int = SUNS, steps: int = STEPS) -> Paths:
     """Rays in all directions from every cell of the table of mean radiance: (heights, suns, directions, azimuths).
 
     Directions are Gauss nodes above and below the local horizon, where radiance jumps, times three azimuths, which are

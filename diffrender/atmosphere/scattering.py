@@ -1,7 +1,7 @@
 """Light in a spherical shell of air, haze and ozone: phase functions, columns, and paths along which it scatters.
 
 Heights are carried apart from the planet's radius, and differences of squares are written as products, so that float32
-holds at the horizon [1, section 3.4 of the method]. Everything here is geometry of unit densities; what scatters how much is a `Medium`.
+holds at the horizon. Everything here is geometry of unit densities; what scatters how much is a `Medium`.
 
 [1] S. Hillaire, "A scalable and production ready sky and atmosphere rendering technique", EGSR, 2020.
 [2] E. Bruneton, F. Neyret, "Precomputed atmospheric scattering", Computer Graphics Forum 27(4), 2008.
@@ -118,13 +118,14 @@ def _column_up(height: Tensor, cosine: Tensor) -> Tensor:
 def chapman(radius: Float[Tensor, "*batch"], cosine: Float[Tensor, "*batch"]) -> Float[Tensor, "*batch"]:
     """Column along a ray relative to the vertical one, in an exponential atmosphere [3].
 
-    `radius` is in units of the scale height, `cosine` of the zenith angle in [0, 1]. 1 at the zenith, sqrt(pi radius / 2)
-    at the horizon; a parabola for the height near the ray's lowest point keeps it within 0.1 %.
+    `radius` is in units of the scale height, `cosine` of the zenith angle in [0, 1]. 1 at the zenith,
+    sqrt(pi radius / 2) at the horizon; a parabola for the height near the ray's lowest point keeps it within 0.1 %.
     """
     # Near the zenith the quotients below are 1/cosine, whatever the floor under the sine.
     sine = torch.sqrt(torch.clamp(1.0 - cosine * cosine, min=1e-6))
     steepness = torch.sqrt(radius / 2.0) * cosine / sine
-    return torch.sqrt(math.pi / 2.0 * radius) / sine * torch.special.erfcx(steepness)
+    grazing: Tensor = torch.special.erfcx(steepness)
+    return torch.sqrt(math.pi / 2.0 * radius) / sine * grazing
 
 
 # Gauss and Legendre's rule on [-1, 1]: place and weight of each of its four nodes.
@@ -167,7 +168,7 @@ def horizon_cosine(height: Float[Tensor, "*batch"]) -> Float[Tensor, "*batch"]:
 def sunlit(height: Float[Tensor, "*batch"], cosine: Float[Tensor, "*batch"]) -> Float[Tensor, "*batch"]:
     """Share of the sun's disc above the ground's edge: 0 in the earth's shadow, 1/2 when half is seen.
 
-    A polynomial within 0.5 % of the segment of a circle, whose slope at either end is 0.
+    A polynomial within 1.3 % of the disc of the segment of a circle, and as steep as that at half.
     """
     rise = _rise(height, cosine)
     square = rise * rise
@@ -256,7 +257,8 @@ def _length(height: Tensor, cos_view: Tensor) -> tuple[Tensor, Tensor]:
     lands = (reach > 0.0) & (cos_view < 0.0)
     # The millimetre keeps 0/0 from a level ray that starts on the ground.
     to_ground = below / (safe_sqrt(reach) + climb.abs() + 1e-3)
-    above = (TOP - height) * (2.0 * PLANET_RADIUS + TOP + height)
+    # The square metre keeps 0/0 from a level ray that starts where the air ends.
+    above = torch.clamp((TOP - height) * (2.0 * PLANET_RADIUS + TOP + height), min=1.0)
     reach_up = torch.sqrt(climb * climb + above) + climb.abs()
     # The two roots' product is `above`: neither side of the horizontal cancels.
     to_space = torch.where(cos_view > 0.0, above / reach_up, reach_up)
@@ -271,7 +273,8 @@ def transmittance(medium: Medium, columns: Float[Tensor, "*batch 3"]) -> Float[T
 def step_weights(medium: Medium, along: Paths) -> tuple[Float[Tensor, "*rays n 3"], Float[Tensor, "*rays 3"]]:
     """What each step adds to the eye per unit of source [m], and the transmittance of the whole path.
 
-    Exact for a source and an extinction that are constant within the step [1, section 5.3]: thick steps do not overshoot.
+    Exact for a source and an extinction that are constant within the step [1, section 5.3]: thick steps do not
+    overshoot.
     """
     depth = (along.density @ medium.extinction()) * along.step
     total = torch.cumsum(depth, -2)

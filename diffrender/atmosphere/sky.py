@@ -1,9 +1,10 @@
 """The sky: air, haze and ozone lit by the sun, with an overcast layer mixed in.
 
-Tables of in-scatter without phase functions, applied when they are looked up, follow [1]; the haziness and the mixture of
-clear and overcast sky follow [2]; the series over orders of scattering is [3]; the overcast gradation is [4].
+Tables of in-scatter without phase functions, applied when they are looked up, follow [1]; the haziness and the mixture
+of clear and overcast sky follow [2]; the series over orders of scattering is [3]; the overcast gradation is [4].
 
-Gradient: exact in every parameter and in the sun's place. The ground's edge, below which the sky is black, is not differentiated.
+Gradient: exact in every parameter and in the sun's place. The ground's edge, below which the sky is black, is not
+differentiated.
 
 [1] G. de Carpentier, K. Ishiyama, "Decima Engine: advances in lighting and AA", SIGGRAPH 2017, slides 17-27.
 [2] M. Miyamoto, R. Driancourt, "Rendering techniques of Final Fantasy XV", SIGGRAPH 2016.
@@ -75,7 +76,7 @@ class Sky:
     )  # fmt: skip
     rayleigh_colour_exponent: Float[Tensor, ""] = parameter(
         4.0, bounds=(2.0, 6.5), unit="1",
-        about="power of the wavelength in the air's scattering; 4 for narrow channels, else the camera's colour separation",
+        about="power of the wavelength in the air's scattering: 4, or as the camera separates colours",
     )  # fmt: skip
     ozone: Float[Tensor, ""] = parameter(
         1.0, bounds=(0.0, 6.0), unit="1", about="ozone in units of the earth's: bluer twilight",
@@ -84,7 +85,8 @@ class Sky:
         0.2, bounds=(0.0, 1.0), unit="1", about="share of light that the ground returns: brightens the sky from below",
     )  # fmt: skip
     overcast: Float[Tensor, ""] = parameter(
-        0.0, bounds=(0.0, 1.0), unit="1", about="share of the light that comes from an even cloud layer, on the side where it is densest",
+        0.0, bounds=(0.0, 1.0), unit="1",
+        about="share of the light that comes from an even cloud layer, on the side where it is densest",
     )  # fmt: skip
     overcast_transmittance: Float[Tensor, "3"] = parameter(
         (0.35, 0.35, 0.35), bounds=(1e-3, 4.0), unit="1", scale="log",
@@ -320,8 +322,8 @@ def _phases(sky: Sky, view: SkyView) -> tuple[Tensor, Tensor]:
 
 def overcast_share(sky: Sky, direction: Float[Tensor, "*batch 3"]) -> Float[Tensor, "*batch"]:
     """Share of the light from a direction that comes from the cloud layer, in [0, 1]."""
-    # Log odds that grow linearly over the ground plane, from about 1 on the side they lean to, so that the share and the
-    # lean are told apart; written so that shares of 0 and 1 stay exactly that.
+    # Log odds that grow linearly over the ground plane, from about 0 on the side they lean to, so that the share and
+    # the lean are told apart; written so that shares of 0 and 1 stay exactly that.
     lean = torch.sqrt(1.0 + sky.overcast_ahead * sky.overcast_ahead + sky.overcast_left * sky.overcast_left) - 1.0
     odds = torch.exp(sky.overcast_ahead * direction[..., 0] + sky.overcast_left * direction[..., 1] - lean)
     return sky.overcast * odds / (1.0 - sky.overcast + sky.overcast * odds)

@@ -1,7 +1,7 @@
 """Light scattered by the shell, by quadrature along straight rays: slow, trusted, and the judge of `sky.render`.
 
-Shares with it the model (densities, coefficients, the series over orders) but no formula: no closed form of a column, no
-table of steps, no step that is exact for its medium. Gauss and Legendre's rule is applied between the heights where
+Shares with it the model (densities, coefficients, the series over orders) but no formula: no closed form of a column,
+no step that is exact for its medium, no bilinear table. Gauss and Legendre's rule is applied between the heights where
 densities bend, along rays towards the eye, round every point and towards the sun. Mean radiance, as
 `multiple_scattering.mean_radiance` defines it, is a polynomial in height and sun. Works in float64 on the CPU.
 
@@ -202,7 +202,8 @@ def _running_weights(count: int) -> Float[Tensor, "n n"]:
     place, _ = gauss_legendre(count)
     power = torch.arange(count)
     integral = (place[:, None] ** (power + 1) - (-1.0) ** (power + 1)) / (power + 1)
-    return torch.linalg.solve(place[:, None] ** power, integral, left=False)
+    weights: Tensor = torch.linalg.solve(place[:, None] ** power, integral, left=False)
+    return weights
 
 
 def chebyshev_places(count: int) -> Float[Tensor, " n"]:
@@ -216,6 +217,5 @@ def _chebyshev(where: Tensor, count: int) -> Tensor:
     def powers(at: Tensor) -> Tensor:
         return torch.cos(torch.arange(count, dtype=torch.float64) * torch.acos(at.clamp(-1.0, 1.0))[..., None])
 
-    return torch.linalg.solve(powers(chebyshev_places(count)), powers(where).flatten(0, -2), left=False).reshape(
-        *where.shape, count
-    )
+    weights: Tensor = torch.linalg.solve(powers(chebyshev_places(count)), powers(where).flatten(0, -2), left=False)
+    return weights.reshape(*where.shape, count)
