@@ -1,4 +1,4 @@
-"""Effect: a record of parameters and a ladder of renderers of the same picture, from "skip it" to a trusted reference."""
+"""Effect: a record of parameters and a ladder of renderers of a picture, from "skip it" to a trusted reference."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
@@ -9,7 +9,7 @@ from torch import Tensor
 Render = Callable[[Any, Any], Tensor]
 
 
-def as_given(_parameters: object, inputs: Any) -> Any:  # noqa: ANN401 - inputs differ from effect to effect
+def as_given(_parameters: object, inputs: Any) -> Any:
     """Inputs unchanged: what a rung that precomputes nothing prepares."""
     return inputs
 
@@ -25,7 +25,7 @@ class Rung:
     render: Render
     prepare: Callable[[Any, Any], Any] = as_given
 
-    def __call__(self, parameters: Any, inputs: Any) -> Tensor:  # noqa: ANN401
+    def __call__(self, parameters: Any, inputs: Any) -> Tensor:
         """Picture of the parameters and inputs, tables included."""
         return self.render(parameters, self.prepare(parameters, inputs))
 

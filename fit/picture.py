@@ -42,7 +42,7 @@ def draw(scene: Scene, camera: Camera) -> Picture:
         above = (camera.solid_angle(x, y) > 0.0) & (direction[..., 2] > BELOW_HORIZON)
         here = sky.TabledView(sky_view(scene, direction[above]), tables)
         picture.sky[rows][above.numpy()] = sky.render_tables(scene.sky, here).numpy()
-        near = above & (direction @ to_sun > math.cos(2.0 * celestial.SUN_RADIUS))
+        near = above & (direction @ to_sun > math.cos(2.0 * scattering.SUN_RADIUS))
         rays = Rays(torch.zeros(3), direction[near], torch.tensor(torch.inf))
         picture.disc[rows][near.numpy()] = celestial.render(sun, celestial.SunView(rays, through)).numpy()
     return picture
