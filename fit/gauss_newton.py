@@ -62,12 +62,15 @@ class QuadraticModel:
     def lowest(self, damping: float) -> Float64[np.ndarray, " n"]:
         """Point of the cube where the model is lowest, exactly on the faces that hold it back.
 
-        Damping is relative to the greatest curvature; turned up, the point stays closer and moves down the gradient.
+        Damping is relative to the geometric mean of each coordinate's curvature and the greatest: between Levenberg's,
+        which freezes the coordinates that matter little, and Marquardt's, which lets them run. Turned up, the point
+        stays closer.
         """
-        greatest = float(self.curvature.diagonal().max())
+        own = self.curvature.diagonal()
+        greatest = float(own.max())
         if greatest == 0.0:
             return self.point
-        damped = self.curvature + max(damping, SMALLEST_DAMPING) * greatest * np.eye(self.point.size)
+        damped = self.curvature + np.diag(damping * np.sqrt(own * greatest) + SMALLEST_DAMPING * greatest)
         # A triangle with the same normal equations: n rows instead of one for each residual.
         triangle = np.linalg.cholesky(damped, upper=True)
         target = triangle @ self.point - np.linalg.solve(triangle.T, self.gradient)

@@ -20,6 +20,7 @@ INTERRUPTED = "interrupted"  # the reason by which a caller knows to go no furth
 
 # With some thousand residuals this share of the loss is half a standard error of one parameter.
 NEGLIGIBLE = 1e-4
+TRUSTED_DAMPING = 1e-3  # of the step that is asked; without any, the model promises what no loss keeps
 AT_BOUND = 1e-6  # so near a face of the cube a coordinate is tried on it
 
 
@@ -138,18 +139,15 @@ class Watch:
         assert self.best is not None
         return self.best
 
-    def is_worthless(self, decrease: float) -> bool:
-        """Whether a decrease of the loss is too small to search for."""
-        # Where residuals can vanish, a step promises all that is left; the loss at the start is the scale there.
-        first = next(loss for loss in self.history if math.isfinite(loss))
-        return decrease <= max(NEGLIGIBLE * self.loss, self.budget.tolerance * first)
-
     def is_settled(self) -> bool:
         """Whether a Gauss-Newton step from the best point promises no gain worth having."""
         if self.best is None:
             return False
         model = self.model(self.best)
-        return model.is_finite and self.is_worthless(model.decrease(model.lowest(damping=0.0)))
+        # Where residuals can vanish, a step promises all that is left; the loss at the start is the scale there.
+        first = next(loss for loss in self.history if math.isfinite(loss))
+        worth = max(NEGLIGIBLE * self.loss, self.budget.tolerance * first)
+        return model.is_finite and model.decrease(model.lowest(TRUSTED_DAMPING)) <= worth
 
     def settle_on_bounds(self) -> None:
         """Move coordinates that nearly touch their bound onto it, where the loss does not grow."""

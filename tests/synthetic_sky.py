@@ -3,6 +3,7 @@
 from pathlib import Path
 
 import numpy as np
+import OpenEXR
 
 from diffrender.rays import Equirectangular
 from fit import keyframes, picture
@@ -36,3 +37,9 @@ def photo(seen, camera=CAMERA):
     """Photo in memory that shows a radiance."""
     header = {"time": None, "latitude": None, "longitude": None, "altitude": None}
     return Photo(Path("synthetic.exr"), seen, camera, header, ("synthetic",), None)
+
+
+def save(path, picture=None, **channels):
+    """Write a picture, or other channels, as OpenEXR."""
+    with OpenEXR.File({"type": OpenEXR.scanlineimage}, channels or {"RGB": picture}) as file:
+        file.write(str(path))

@@ -49,7 +49,7 @@ SOLUTION = Solution(
     scene=None,  # the report draws nothing
     parameters=PARAMETERS, correlated=CORRELATED, correlation=(-0.95) ** np.abs(LADDER[:, None] - LADDER),
     sun=SunPlace(-8.09, -12.3, "found in the picture", visible=False), gains=(1.02, 0.98, 0.0046),
-    pixels={"used": 1000, "masked": 1040, "nonfinite": 3, "negative": 5}, error=0.0163,
+    used=np.ones((2, 2), bool), pixels={"used": 1000, "masked": 1040, "nonfinite": 3, "negative": 5}, error=0.0163,
     left_out={"height fog": "it changes no used pixel by more than 0.1 %"}, minimum=MINIMUM, solver="least-squares",
     seed=7, seconds={"read": 0.3, "solve": 0.4}, versions={"torch": "2.13.0"},
 )  # fmt: skip

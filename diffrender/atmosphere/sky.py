@@ -361,12 +361,13 @@ def quadrature(sky: Sky, view: SkyView, fineness: Fineness = USUAL) -> Float[Ten
 
 
 def largest_change(sky: Sky, view: SkyView) -> Float[Tensor, ""]:
-    """Bound on the radiance of any ray [W/(m² sr)], as if all light that meets air or haze were scattered once.
+    """Bound on the radiance of any ray [W/(m² sr)], as if all sunlight within the shell met air or haze once.
 
     Higher orders are at most the largest mean radiance round any point; the overcast layer is brightest at the zenith.
     """
     table, (air_phase, haze_phase) = prepare_march(sky, view), _phases(sky, view)
-    clear = torch.maximum(air_phase, _HAZE_ALBEDO * haze_phase) + table.mean.amax((0, 1))
+    sunlit = scattering.sunlit(torch.full_like(view.eye_altitude, scattering.TOP), _suns(view)[1])
+    clear = torch.maximum(air_phase, _HAZE_ALBEDO * haze_phase) * sunlit + table.mean.amax((0, 1))
     share = overcast_share(sky, view.direction)[..., None]
     return (torch.lerp(clear, table.cloud * sky.overcast_transmittance, share) * view.irradiance).amax()
 

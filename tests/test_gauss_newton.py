@@ -1,0 +1,35 @@
+import itertools
+
+import numpy as np
+import pytest
+import torch
+
+from fit.gauss_newton import QuadraticModel
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_quadratic_model_is_lowest_where_every_choice_of_faces_says(seed: int) -> None:
+    generator = torch.Generator().manual_seed(seed)
+    jacobian = torch.randn(20, 4, generator=generator, dtype=torch.float64)
+    residuals = torch.randn(20, generator=generator, dtype=torch.float64)
+    model = QuadraticModel(np.full(4, 0.5), residuals, jacobian)
+    lowest = model.lowest(damping=0.0)
+    # Every coordinate at its lower bound, at its upper one, or free: 81 linear systems.
+    best = 0.0
+    for faces in itertools.product((-0.5, 0.5, None), repeat=4):
+        free = [axis for axis, face in enumerate(faces) if face is None]
+        step = np.array([0.0 if face is None else face for face in faces])
+        pull = model.gradient + model.curvature @ step
+        step[free] = -np.linalg.solve(model.curvature[np.ix_(free, free)], pull[free])
+        if abs(step).max() <= 0.5:
+            best = max(best, model.decrease(model.point + step))
+    assert model.decrease(lowest) == pytest.approx(best, rel=1e-9)
+    assert ((lowest >= 0.0) & (lowest <= 1.0)).all()
+
+
+def test_strong_damping_turns_a_step_down_the_gradient() -> None:
+    jacobian = torch.tensor([[3.0, 1.0], [0.0, 2.0], [1.0, 1.0]], dtype=torch.float64)
+    model = QuadraticModel(np.array([0.5, 0.5]), torch.tensor([0.3, -0.2, 0.1], dtype=torch.float64), jacobian)
+    step = model.lowest(damping=1e6) - model.point
+    cosine = -step @ model.gradient / (np.linalg.norm(step) * np.linalg.norm(model.gradient))
+    assert cosine == pytest.approx(1.0, abs=1e-6)
