@@ -16,7 +16,8 @@ CLEAR = defaults(Sky, torch.float64)
 OVERCAST = replace(CLEAR, overcast=torch.tensor(1.0, dtype=torch.float64))
 IRRADIANCE = torch.tensor([1.474, 1.8504, 1.91198], dtype=torch.float64)
 DRAWING = [name for name in EFFECT.rungs if name != "skip"]
-TWILIGHTS = [90.0, 1.0, 0.0, -0.1, -6.0, -12.0]
+# Elevation of the sun in degrees, altitude of the eye.
+PLACES = [(90.0, 0.0), (90.0, 10e3), (1.0, 2.0), (0.0, 0.0), (0.0, 1e3), (-0.1, 2.0), (-6.0, 10e3), (-12.0, 0.0)]
 
 
 def double(value):
@@ -275,8 +276,7 @@ def test_clear_days_medium_is_hillaires_but_for_the_haze_by_colour():
     assert (wider[2] / wider[0]).item() == pytest.approx((680 / 440) ** 2)
 
 
-@pytest.mark.parametrize("sun", TWILIGHTS)
-@pytest.mark.parametrize("eye_altitude", [0.0, 2.0, 10e3])
+@pytest.mark.parametrize(("sun", "eye_altitude"), PLACES)
 @pytest.mark.parametrize("rung", EFFECT.rungs)
 @pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
 def test_gradients_are_finite_in_all_that_a_sky_depends_on(dtype, rung, eye_altitude, sun):
@@ -301,7 +301,7 @@ def test_gradient_by_the_suns_place_matches_finite_differences(rung, sun):
 
     def brightness(elevation):
         seen = replace(view(0.0, directions), to_sun=from_angles(elevation, torch.zeros_like(elevation)))
-        return draw(seen, rung=rung).log()
+        return draw(seen, rung=rung).log().sum()
 
     place = torch.deg2rad(double(sun)).requires_grad_()
     assert torch.autograd.gradcheck(brightness, place, eps=1e-7, atol=1e-4, rtol=1e-3, check_forward_ad=True)

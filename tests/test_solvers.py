@@ -10,6 +10,7 @@ import torch
 from torch import Tensor
 
 from fit import nlopt_solver
+from fit.gauss_newton import QuadraticModel
 from fit.input_error import InputError
 from fit.minimum import AT_BOUND, INTERRUPTED, Budget, OutOfBudget, Watch
 from fit.solvers import SOLVERS, solver
@@ -383,29 +384,6 @@ def test_coordinate_settles_on_a_bound_only_where_the_loss_does_not_grow() -> No
     watch.settle_on_bounds()
     assert watch.best is not None
     assert watch.best.tolist() == [0.0, 0.5 * AT_BOUND]
-
-
-@pytest.mark.parametrize(
-    ("name", "hint"),
-    [
-        ("newton", "least-squares"),
-        ("Adam", "adam"),
-        ("nlopt", "nlopt:LD_SLSQP"),
-        ("nlopt:LD_LFBGS", "LD_LBFGS"),
-        ("nlopt:ln_bobyqa", "LN_BOBYQA"),
-        ("nlopt:LD_AUGLAG", "LD_"),
-        ("nlopt:srand", "nlopt"),
-        ("nlopt:", "LD_SLSQP"),
-        ("scipy:LD_SLSQP", "nlopt:NAME"),
-    ],
-)
-def test_unknown_solver_is_refused_with_near_names(name: str, hint: str) -> None:
-    with pytest.raises(InputError) as refusal:
-        solver(name)
-    message = str(refusal.value)
-    assert name in message
-    assert hint in message
-    assert "\n" not in message
 
 
 def test_linear_residuals_keep_the_models_promise() -> None:

@@ -1,7 +1,7 @@
 """The sky: air, haze and ozone lit by the sun, with an overcast layer mixed in.
 
 Tables of in-scatter without phase functions, applied when they are looked up, follow [1]; the haziness and the mixture
-of clear and overcast sky follow [2]; the series over orders of scattering is [3]; the overcast gradation is [4].
+of clear and overcast sky follow [2]; the series over orders of scattering is [3].
 
 Gradient: exact in every parameter and in the sun's place. The ground's edge, below which the sky is black, is not
 differentiated.
@@ -9,7 +9,6 @@ differentiated.
 [1] G. de Carpentier, K. Ishiyama, "Decima Engine: advances in lighting and AA", SIGGRAPH 2017, slides 17-27.
 [2] M. Miyamoto, R. Driancourt, "Rendering techniques of Final Fantasy XV", SIGGRAPH 2016.
 [3] S. Hillaire, "A scalable and production ready sky and atmosphere rendering technique", EGSR, 2020.
-[4] P. Moon, D. Spencer, "Illumination from a non-uniform sky", 1942; ISO 15469:2004, sky type 16.
 """
 
 import math
@@ -20,7 +19,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from diffrender.atmosphere import multiple_scattering as multiple
-from diffrender.atmosphere import scattering, sky_reference
+from diffrender.atmosphere import overcast, scattering, sky_reference
 from diffrender.atmosphere.scattering import Medium, Paths
 from diffrender.atmosphere.sky_reference import USUAL, Fineness
 from diffrender.effect import Effect, Rung
@@ -43,7 +42,6 @@ class Size:
 
 _MARCH = 48  # steps of a ray
 _ROW_SCALE = 0.05  # share of the way to the zenith over which the rows are dense above the horizon
-_CLOUD_TOP = 2e3  # height at which an overcast layer is lit [m]
 _HAZE_ALBEDO = 0.9  # share of the haze's extinction that is scattering, Bruneton and Neyret 2008
 
 
@@ -111,22 +109,13 @@ class SkyView:
 
 
 @record
-class CloudTop:
-    """How the sun stands over the cloud layer."""
-
-    column: Float[Tensor, "3"]  # from the layer to the sun [m]
-    irradiance: Float[Tensor, ""]  # over the sun's, by angle and shadow alone
-    cos_sun: Float[Tensor, ""]
-
-
-@record
 class Geometry:
     """Rays of the tables, which depend on the eye and the sun but on no parameter of the sky."""
 
     rays: Paths  # (rows, columns)
     around: Paths  # of the table of mean radiance
     suns: Float[Tensor, "2"]  # over which it reaches
-    cloud_top: CloudTop
+    cloud_top: overcast.CloudTop
 
 
 @record
@@ -184,7 +173,7 @@ def geometry(view: SkyView, size: Size = Size()) -> Geometry:
         rays=scattering.paths(view.eye_altitude + ground, cos_view, cos_sun + ground, cos_angle, size.steps),
         around=multiple.table_paths(suns, size.heights, size.suns, size.steps_around),
         suns=suns,
-        cloud_top=_cloud_top(cos_sun),
+        cloud_top=overcast.cloud_top(cos_sun),
     )
 
 
@@ -192,7 +181,8 @@ def tables(sky: Sky, fixed: Geometry) -> SkyTables:
     """Tables of a sky: its in-scatter in every direction from the eye, phase functions left out."""
     air = medium(sky)
     mean = multiple.mean_radiance(air, fixed.around)
-    return SkyTables(_in_scatter(air, fixed.rays, mean, fixed.suns), _cloud(air, fixed.cloud_top, mean, fixed.suns))
+    light = overcast.sunlight(air, fixed.cloud_top) + overcast.skylight(fixed.cloud_top, mean, fixed.suns)
+    return SkyTables(_in_scatter(air, fixed.rays, mean, fixed.suns), overcast.zenith_radiance(light))
 
 
 def _in_scatter(air: Medium, rays: Paths, mean: Tensor, suns: Tensor) -> Float[Tensor, "*batch 3 3"]:
@@ -207,24 +197,6 @@ def _scattered_once(air: Medium, rays: Paths, weights: Tensor) -> tuple[Tensor, 
     direct = weights * scattering.transmittance(air, rays.sun_column) * rays.sunlit
     by_haze = (direct * rays.density[..., 1:2]).sum(-2) * air.haze_scattering
     return (direct * rays.density[..., :1]).sum(-2) * air.rayleigh, by_haze
-
-
-def _cloud_top(cos_sun: Tensor) -> CloudTop:
-    top = torch.full_like(cos_sun, _CLOUD_TOP)
-    irradiance = torch.relu(cos_sun) * scattering.sunlit(top, cos_sun)
-    return CloudTop(scattering.column(top, scattering.to_visible_sun(top, cos_sun)), irradiance, cos_sun)
-
-
-def _cloud(air: Medium, top: CloudTop, mean: Tensor, suns: Tensor) -> Float[Tensor, "3"]:
-    # Lit by the sun and by half a sphere of mean radiance; 7 pi / 9 turns an irradiance into a zenith radiance [4].
-    cos_sun = top.cos_sun[None]
-    from_sky = math.pi * multiple.look_up(mean, suns, torch.full_like(cos_sun, _CLOUD_TOP), cos_sun)[0]
-    return _zenith(scattering.transmittance(air, top.column) * top.irradiance + from_sky)
-
-
-def _zenith(irradiance: Tensor) -> Tensor:
-    """Zenith radiance of an overcast sky over the irradiance of the ground: by 7 pi / 9 [4]."""
-    return irradiance * (9.0 / (7.0 * math.pi))
 
 
 def prepare(sky: Sky, view: SkyView) -> TabledView:
@@ -263,8 +235,7 @@ def render_single(sky: Sky, view: SkyView) -> Float[Tensor, "*batch 3"]:
     air, rays = medium(sky), _rays(view, _MARCH)
     weights, _ = scattering.step_weights(air, rays)
     once = _scattered_once(air, rays, weights)
-    top = _cloud_top(view.to_sun[2])
-    cloud = _zenith(scattering.transmittance(air, top.column) * top.irradiance)
+    cloud = overcast.zenith_radiance(overcast.sunlight(air, overcast.cloud_top(view.to_sun[2])))
     return _compose(sky, view, torch.stack([*once, torch.zeros_like(once[0])], -2), cloud)
 
 
@@ -281,7 +252,9 @@ def prepare_march(sky: Sky, view: SkyView) -> MarchedView:
     """Table of higher orders, from which rays are marched."""
     air, suns = medium(sky), _suns(view)
     mean = multiple.mean_radiance(air, multiple.table_paths(suns))
-    return MarchedView(view, mean, _cloud(air, _cloud_top(view.to_sun[2]), mean, suns))
+    top = overcast.cloud_top(view.to_sun[2])
+    light = overcast.sunlight(air, top) + overcast.skylight(top, mean, suns)
+    return MarchedView(view, mean, overcast.zenith_radiance(light))
 
 
 def _suns(view: SkyView) -> Float[Tensor, "2"]:
@@ -303,10 +276,10 @@ def _compose(sky: Sky, view: SkyView, found: Tensor, cloud: Tensor) -> Float[Ten
     by_air, by_haze, higher = found.unbind(-2)
     air_phase, haze_phase = _phases(sky, view)
     clear = by_air * air_phase + by_haze * haze_phase + higher
-    overcast = cloud * sky.overcast_transmittance * ((1.0 + 2.0 * view.direction[..., 2:]) / 3.0)
+    clouded = cloud * sky.overcast_transmittance * overcast.gradation(view.direction)
     share = overcast_share(sky, view.direction)[..., None]
     seen = (_elevation(view.direction) >= _horizon(view.eye_altitude))[..., None]
-    return torch.lerp(clear, overcast, share) * view.irradiance * seen
+    return torch.lerp(clear, clouded, share) * view.irradiance * seen
 
 
 def _phases(sky: Sky, view: SkyView) -> tuple[Tensor, Tensor]:
@@ -354,10 +327,10 @@ def quadrature(sky: Sky, view: SkyView, fineness: Fineness = USUAL) -> Float[Ten
     """Radiance of the sky [W/(m² sr)] from light scattered along straight rays, by `sky_reference`; float64 only."""
     air, cos_sun = medium(sky), view.to_sun[2]
     found = sky_reference.in_scatter(air, view.direction, view.to_sun, view.eye_altitude, fineness)
-    top = torch.full_like(cos_sun, _CLOUD_TOP)
+    top = torch.full_like(cos_sun, overcast.TOP)
     mean = sky_reference.mean_radiance(air, top[None], cos_sun[None], fineness)[0, 0]
     direct = sky_reference.sunlight(air, top, cos_sun) * torch.relu(cos_sun)
-    return _compose(sky, view, found, _zenith(direct + math.pi * mean))
+    return _compose(sky, view, found, overcast.zenith_radiance(direct + math.pi * mean))
 
 
 def largest_change(sky: Sky, view: SkyView) -> Float[Tensor, ""]:
