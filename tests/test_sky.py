@@ -133,12 +133,12 @@ def test_day_and_twilight_are_as_bright_as_measured(elevation):
 
 def test_twilight_fades_without_a_step_from_day_to_twelve_degrees_below():
     directions = towards(double([90.0, 10.0, 2.0]), double([0.0, 0.0, 60.0]))
-    fading = torch.stack([luminance(draw(view(e, directions))) for e in torch.arange(6.0, -12.1, -0.5).tolist()])
+    fading = torch.stack([luminance(draw(view(e, directions))) for e in torch.arange(6.0, -12.1, -1.0).tolist()])
     assert fading.isfinite().all()
     assert (fading > 0.0).all()
     falls = (fading[1:] / fading[:-1]).log()
-    assert (falls[8:] < 0.0).all()  # from a sun at 2 degrees on; above, the air beside it is still brightening
-    assert (falls > -1.0).all()
+    assert (falls[4:] < 0.0).all()  # from a sun at 2 degrees on; above, the air beside it is still brightening
+    assert (falls > -1.5).all()
 
 
 def test_earths_shadow_rises_opposite_a_set_sun():
@@ -294,6 +294,7 @@ def test_gradients_are_finite_in_all_that_a_sky_depends_on(dtype, rung, eye_alti
     assert all(slope.isfinite().all() for slope in slopes)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("rung", DRAWING)
 @pytest.mark.parametrize("sun", [80.0, 3.0, -4.0])
 def test_gradient_by_the_suns_place_matches_finite_differences(rung, sun):
