@@ -74,8 +74,6 @@ def _approach(watch: Watch, start: Point) -> None:
 
 def _finish(watch: Watch) -> Ending:
     model = watch.model(watch.best_point)
-    if not model.is_finite:
-        raise NoDerivative
     tolerance = watch.budget.tolerance
     damping, growth = FIRST_DAMPING, 2.0
     while True:

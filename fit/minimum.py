@@ -151,13 +151,11 @@ class Watch:
 
     def settle_on_bounds(self) -> None:
         """Move coordinates that nearly touch their bound onto it, where the loss does not grow."""
-        if self.best is None:
-            return
-        for axis in range(self.best.size):
-            bound = round(float(self.best[axis]))
-            if 0.0 < abs(self.best[axis] - bound) <= AT_BOUND:
-                moved = self.best.copy()
-                moved[axis] = bound
+        for axis in range(self.best_point.size):
+            coordinate = float(self.best_point[axis])
+            if 0.0 < abs(coordinate - round(coordinate)) <= AT_BOUND:
+                moved = self.best_point.copy()
+                moved[axis] = round(coordinate)
                 self.evaluate(moved)
 
     def minimum(self, ending: Ending) -> Minimum:

@@ -3,6 +3,7 @@ import itertools
 import numpy as np
 import pytest
 import torch
+from solver_problems import bowl
 
 from fit.gauss_newton import QuadraticModel
 
@@ -33,3 +34,28 @@ def test_strong_damping_turns_a_step_down_the_gradient() -> None:
     step = model.lowest(damping=1e6) - model.point
     cosine = -step @ model.gradient / (np.linalg.norm(step) * np.linalg.norm(model.gradient))
     assert cosine == pytest.approx(1.0, abs=1e-6)
+
+
+def test_linear_residuals_keep_the_models_promise() -> None:
+    problem = bowl(0.3, 1.2)
+    model = QuadraticModel(problem.start, *problem.jacobian(torch.tensor(problem.start)))
+    lowest = model.lowest(damping=0.0)
+    assert lowest == pytest.approx([0.3, 1.0])
+    assert model.loss - problem.loss(lowest) == pytest.approx(model.decrease(lowest))
+
+
+def test_turned_axes_make_the_same_model() -> None:
+    generator = torch.Generator().manual_seed(1)
+    jacobian = torch.randn(50, 3, generator=generator, dtype=torch.float64)
+    residuals = torch.randn(50, generator=generator, dtype=torch.float64)
+    model = QuadraticModel(np.full(3, 0.5), residuals, jacobian)
+    turned = model.turned_jacobian
+    along = np.array([float(residuals.norm()), 0.0, 0.0, 0.0])
+    assert turned.T @ along == pytest.approx(model.gradient)
+    assert turned.T @ turned == pytest.approx(model.curvature)
+
+
+def test_turned_axes_exist_where_residuals_vanish() -> None:
+    jacobian = torch.tensor([[3.0, 1.0], [0.0, 2.0], [1.0, 1.0]], dtype=torch.float64)
+    model = QuadraticModel(np.array([0.5, 0.5]), torch.zeros(3, dtype=torch.float64), jacobian)
+    assert model.turned_jacobian.T @ model.turned_jacobian == pytest.approx(model.curvature)

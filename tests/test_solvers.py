@@ -1,16 +1,14 @@
 import itertools
 import math
-from collections.abc import Callable
-from dataclasses import dataclass, field
 
 import numpy as np
 import pytest
 import scipy.optimize
 import torch
+from solver_problems import Broken, Problem, bowl, curved, decay, derivative, raising, rosenbrock
 from torch import Tensor
 
 from fit import nlopt_solver
-from fit.gauss_newton import QuadraticModel
 from fit.input_error import InputError
 from fit.minimum import AT_BOUND, INTERRUPTED, Budget, OutOfBudget, Watch
 from fit.solvers import SOLVERS, solver
@@ -19,99 +17,6 @@ LOCAL = [*SOLVERS, "nlopt:LD_SLSQP", "nlopt:LD_LBFGS", "nlopt:LD_TNEWTON_PRECOND
 GLOBAL = ["nlopt:G_MLSL_LDS", "nlopt:GN_MLSL_LDS", "nlopt:GN_CRS2_LM", "nlopt:GN_DIRECT_L"]
 EXACT = ["least-squares", "lbfgs", "nlopt:LD_SLSQP", "nlopt:LD_LBFGS"]  # solve hard problems in a few dozen evaluations
 PLENTY = Budget(evaluations=1200)
-
-
-@dataclass
-class Problem:
-    """Residuals of a point of the unit cube, and what befalls the calls, counted from 1."""
-
-    function: Callable[[Tensor], Tensor]
-    size: int
-    fault: Callable[[int], float] = lambda _: 1.0
-    calls: int = 0
-    asked: list[np.ndarray] = field(default_factory=list)
-
-    def residuals(self, point: Tensor) -> Tensor:
-        factor = self._call(point)
-        return self.function(point) * factor
-
-    def jacobian(self, point: Tensor) -> tuple[Tensor, Tensor]:
-        factor = self._call(point)
-        return self.function(point) * factor, derivative(self.function, point) * factor
-
-    def _call(self, point: Tensor) -> float:
-        self.calls += 1
-        self.asked.append(point.numpy().copy())
-        return self.fault(self.calls)
-
-    def loss(self, point: np.ndarray) -> float:
-        return 0.5 * float(self.function(torch.tensor(point)).square().sum())
-
-    @property
-    def start(self) -> np.ndarray:
-        return np.full(self.size, 0.4)
-
-
-def derivative(function: Callable[[Tensor], Tensor], point: Tensor) -> Tensor:
-    # Central differences, right to ten digits; forward mode takes milliseconds for the smallest function.
-    steps = 1e-6 * torch.eye(len(point), dtype=point.dtype)
-    return torch.stack([(function(point + step) - function(point - step)) / 2e-6 for step in steps], dim=1)
-
-
-def rosenbrock(size: int, low: float, high: float) -> Problem:
-    def function(unit: Tensor) -> Tensor:
-        x = low + (high - low) * unit
-        return torch.cat([1.0 - x[:-1], 10.0 * (x[1:] - x[:-1] ** 2)])
-
-    return Problem(function, size)
-
-
-def bowl(*lowest: float) -> Problem:
-    """Lowest where it says, or on the faces of the cube nearest to it."""
-    place = torch.tensor(lowest, dtype=torch.float64)
-    weights = torch.linspace(1.0, 2.0, len(lowest), dtype=torch.float64)
-    return Problem(lambda unit: torch.cat([weights * (unit - place), torch.ones(1, dtype=torch.float64)]), len(lowest))
-
-
-def decay(noise: float) -> Problem:
-    """Height, rate and floor of a decaying exponential, true at 0.5, 0.3 and 0.2."""
-    time = torch.linspace(0.0, 1.0, 60, dtype=torch.float64)
-
-    def model(unit: Tensor) -> Tensor:
-        return 4.0 * unit[0] * torch.exp(-10.0 * unit[1] * time) + unit[2]
-
-    generator = torch.Generator().manual_seed(3)
-    scatter = noise * torch.randn(60, generator=generator, dtype=torch.float64)
-    measured = model(torch.tensor([0.5, 0.3, 0.2], dtype=torch.float64)) + scatter
-    return Problem(lambda unit: model(unit) - measured, 3)
-
-
-def curved(seed: int) -> Problem:
-    """Log of a smooth positive model in eight parameters, true inside and outside the cube."""
-    generator = torch.Generator().manual_seed(seed)
-    directions = torch.randn(300, 3, generator=generator, dtype=torch.float64)
-    waves = torch.tanh(directions @ torch.randn(3, 8, generator=generator, dtype=torch.float64))
-
-    def model(unit: Tensor) -> Tensor:
-        return torch.log((waves * torch.exp(2.0 * unit - 1.0)).sum(-1).square() + 0.5)
-
-    truth = 1.6 * torch.rand(8, generator=generator, dtype=torch.float64) - 0.3
-    measured = model(truth) + 0.1 * torch.randn(300, generator=generator, dtype=torch.float64)
-    return Problem(lambda unit: model(unit) - measured, 8)
-
-
-def raising(problem: Problem, error: BaseException, call: int) -> Problem:
-    def fault(count: int) -> float:
-        if count >= call:
-            raise error
-        return 1.0
-
-    problem.fault = fault
-    return problem
-
-
-class Broken(Exception):  # noqa: N818 - what an objective might raise
-    pass
 
 
 @pytest.mark.parametrize("name", [*LOCAL, *GLOBAL])
@@ -241,6 +146,8 @@ def test_loss_finite_nowhere_is_an_error(name: str, value: float) -> None:
     with pytest.raises(FloatingPointError, match="finite"):
         solver(name)(problem, problem.start, Budget())
     assert problem.calls <= 3
+    with pytest.raises(FloatingPointError, match="finite"):
+        solver(name)(problem, problem.start, Budget(evaluations=1))
 
 
 @pytest.mark.parametrize("name", [*EXACT, "adam", "nlopt:LN_BOBYQA"])
@@ -251,6 +158,26 @@ def test_region_without_finite_loss_is_avoided(name: str) -> None:
     problem = Problem(function, 2)
     found = solver(name)(problem, np.array([0.9, 0.9]), Budget())
     assert found.point == pytest.approx([0.3, 0.5], abs=1e-2)
+    assert found.converged
+
+
+def test_kink_is_not_taken_for_a_minimum_of_a_smooth_loss() -> None:
+    problem = Problem(lambda unit: (unit - 0.3).abs() + 1.0, 1)
+    found = solver("least-squares")(problem, problem.start, Budget())
+    assert found.point == pytest.approx([0.3], abs=1e-2)
+    assert not found.converged
+
+
+def test_algorithm_for_few_parameters_refuses_many_in_words() -> None:
+    problem = bowl(*[0.3] * 14)
+    with pytest.raises(InputError, match="GN_AGS does not take 14 free parameters"):
+        solver("nlopt:GN_AGS")(problem, problem.start, Budget())
+
+
+def test_rounding_errors_end_a_search_that_asks_for_all_digits() -> None:
+    problem = bowl(0.3, 0.8)
+    found = solver("nlopt:LN_BOBYQA")(problem, problem.start, Budget(tolerance=0.0))
+    assert "rounding" in found.reason
     assert found.converged
 
 
@@ -384,11 +311,3 @@ def test_coordinate_settles_on_a_bound_only_where_the_loss_does_not_grow() -> No
     watch.settle_on_bounds()
     assert watch.best is not None
     assert watch.best.tolist() == [0.0, 0.5 * AT_BOUND]
-
-
-def test_linear_residuals_keep_the_models_promise() -> None:
-    problem = bowl(0.3, 1.2)
-    model = QuadraticModel(problem.start, *problem.jacobian(torch.tensor(problem.start)))
-    lowest = model.lowest(damping=0.0)
-    assert lowest == pytest.approx([0.3, 1.0])
-    assert model.loss - problem.loss(lowest) == pytest.approx(model.decrease(lowest))
