@@ -5,7 +5,6 @@ import os
 import subprocess
 import sys
 import tempfile
-import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -27,8 +26,7 @@ class Process:
         told: what it wrote to standard output.
         complained: what it wrote to standard error.
         seconds: from its start to its end.
-        peak_bytes: most memory that it, or any one process it started, held at a time; never less than what the
-            experiment held when it started it.
+        peak_bytes: most memory that it, or any one process it started, held at a time.
     """
 
     command: tuple[str, ...]
@@ -63,21 +61,27 @@ class FitRun:
         return float(self.account["seconds"]["read"])
 
 
+# A process counts the memory of the one that forked it as its own until it starts its program, so a small one forks.
+WEIGH = """
+import resource, subprocess, sys, time
+began = time.perf_counter()
+status = subprocess.call(sys.argv[2:])
+seconds = time.perf_counter() - began
+peak = resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss
+with open(sys.argv[1], "w") as account:
+    print(status, seconds, peak, file=account)
+"""
+
+
 def run(command: Sequence[str]) -> Process:
     """A command run to its end on two threads."""
     threads = {name: str(THREADS) for name in ("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS")}
-    with tempfile.TemporaryFile("w+") as output, tempfile.TemporaryFile("w+") as errors:
-        began = time.perf_counter()
-        process = subprocess.Popen(command, stdout=output, stderr=errors, env=os.environ | threads)
-        # wait4, because it alone tells the memory of this process; getrusage tells the largest of all so far.
-        _, state, usage = os.wait4(process.pid, 0)
-        seconds = time.perf_counter() - began
-        process.returncode = os.waitstatus_to_exitcode(state)
-        output.seek(0)
-        errors.seek(0)
-        return Process(
-            tuple(command), process.returncode, output.read(), errors.read(), seconds, usage.ru_maxrss * MEMORY_UNIT
-        )
+    with tempfile.TemporaryDirectory() as folder:
+        account = Path(folder) / "account"
+        weighed = [sys.executable, "-I", "-S", "-c", WEIGH, str(account), *command]
+        ended = subprocess.run(weighed, capture_output=True, text=True, env=os.environ | threads, check=True)
+        status, seconds, peak = account.read_text(encoding="utf-8").split()
+    return Process(tuple(command), int(status), ended.stdout, ended.stderr, float(seconds), int(peak) * MEMORY_UNIT)
 
 
 def run_well(command: Sequence[str]) -> Process:
