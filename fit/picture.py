@@ -53,7 +53,7 @@ def sunlight(scene: Scene) -> Float[torch.Tensor, "3"]:
     assert scene.sky is not None
     towards = celestial.to_sun(scene.sun)
     view = sky_view(scene, towards)
-    through = scattering.column(view.eye_altitude, towards[2])
+    through = scattering.column(view.eye_altitude, scattering.to_visible_sun(view.eye_altitude, towards[2]))
     clear = 1.0 - sky.overcast_share(scene.sky, towards)
     return (
         scattering.transmittance(sky.medium(scene.sky), through)

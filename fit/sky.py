@@ -1,7 +1,7 @@
 """`fit sky`: the air, haze and clouds of a scene fitted to the sky of one HDR photo."""
 
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from importlib.metadata import version
 from pathlib import Path
@@ -106,8 +106,8 @@ def fit(photo: Photo | Path, options: Options | None = None) -> Solution:
     home = _home(options, place)
     read = time.monotonic()
     found = _search(home, pixels, options, minimise)
-    space, minimum = found.fine.space, found.minimum
-    scene, error, known = _account(found.fine, pixels, minimum)
+    space, minimum = found.space, found.minimum
+    scene, error, known = _account(_fine(space, pixels, options), pixels, minimum)
     solved = time.monotonic()
     parameters = _parameters(scene, found, known, options)
     kept = [index for index, name in enumerate(space.free) if parameters[name].determined]
@@ -120,7 +120,7 @@ def fit(photo: Photo | Path, options: Options | None = None) -> Solution:
         parameters=parameters,
         correlated=tuple(space.free[index] for index in kept),
         correlation=known.correlation[np.ix_(kept, kept)],
-        sun=place,
+        sun=_sun_place(place, scene, space),
         gains=_gains(scene),
         used=used,
         pixels={"used": int(used.sum()), "masked": used.size - int(used.sum()), **photo.counts()},
@@ -132,6 +132,15 @@ def fit(photo: Photo | Path, options: Options | None = None) -> Solution:
         seconds={"read": read - began, "solve": solved - read},
         versions={name: version(name) for name in ("diffrender", "torch", "numpy", "scipy", "nlopt")},
     )
+
+
+def _sun_place(place: SunPlace, scene: Scene, space: SearchSpace) -> SunPlace:
+    """Sun's place as it was known before, or where the fit has moved it."""
+    if not any(name.startswith("SUN_") for name in space.free):
+        return place
+    values = keyframes.values(scene)
+    how = f"fitted; begun {place.how}"
+    return replace(place, elevation=values["SUN_ELEVATION"], azimuth=values["SUN_AZIMUTH"], how=how)
 
 
 def _check(pixels: Pixels) -> None:
@@ -150,6 +159,8 @@ def _home(options: Options, place: SunPlace) -> Scene:
             check(name, 0.0)
         if name.startswith(("EXPOSURE", "SUN_IRRADIANCE")):
             raise InputError(f"{name} is the photo's gain and found in closed form; leave it out of --fix and --free")
+        if name.startswith("SUN_") and name in options.fixed:
+            raise InputError(f"--fix {name}; give the sun's place by --sun ELEVATION,AZIMUTH")
     given = keyframes.values(options.start) if options.start is not None else {"SKY_OVERCAST": 0.0}
     # An irradiance of 1: the gains found later are the exposed sun's.
     ones = {name: 1.0 for name in known if name.startswith(("EXPOSURE", "SUN_IRRADIANCE"))}
@@ -171,12 +182,35 @@ def _space(options: Options, home: Scene) -> SearchSpace:
 
 @dataclass(frozen=True)
 class _Found:
-    fine: SkyObjective
+    space: SearchSpace
     minimum: Minimum
     pinned: Mapping[str, str]  # names that were searched in vain, and why
 
 
 def _search(home: Scene, pixels: Pixels, options: Options, minimise: Minimise) -> _Found:
+    """Where the last stage of a search ended, with the account of all of them; what Ctrl-C leaves is said so."""
+    found: list[_Found] = []
+    try:
+        for stage in _stages(home, pixels, options, minimise):
+            found.append(stage)
+            if stage.minimum.reason == INTERRUPTED:
+                break
+    except KeyboardInterrupt:
+        if not found:
+            raise
+        ended = replace(found[-1].minimum, reason=INTERRUPTED, converged=False, history=(), iterations=0, evaluations=0)
+        found.append(replace(found[-1], minimum=ended))
+    minima = [stage.minimum for stage in found]
+    whole = replace(
+        minima[-1],
+        history=tuple(loss for minimum in minima for loss in minimum.history),
+        iterations=sum(minimum.iterations for minimum in minima),
+        evaluations=sum(minimum.evaluations for minimum in minima),
+    )
+    return replace(found[-1], minimum=whole)
+
+
+def _stages(home: Scene, pixels: Pixels, options: Options, minimise: Minimise) -> Iterator[_Found]:
     """Minimum on few pixels and coarse tables; again without what the photo leaves open; polished on more and finer."""
     began = time.monotonic()
 
@@ -186,27 +220,24 @@ def _search(home: Scene, pixels: Pixels, options: Options, minimise: Minimise) -
 
     space = _space(options, home)
     rough = _objective(space, pixels, COARSE_PIXELS, COARSE, options.seed)
-    minima = [solve(rough, begin(space), ROUGH_TOLERANCE)]
-    pinned: dict[str, str] = {}
-    if minima[-1].reason != INTERRUPTED:
-        kept, wider, pinned = _reselected(rough, minima[-1].point, home, options)
-        if pinned:
-            space = wider
-            minima.append(solve(replace(rough, space=space), begin(space), ROUGH_TOLERANCE))
-        if minima[-1].reason != INTERRUPTED and minima[-1].loss > minima[0].loss:
-            # Others in their place led to a worse minimum.
-            space = kept
-            minima.append(solve(replace(rough, space=space), space.point(space.start), ROUGH_TOLERANCE))
-    fine = _objective(space, pixels, FINE_PIXELS, FINE, options.seed + 1)
-    if minima[-1].reason != INTERRUPTED:
-        minima.append(solve(fine, minima[-1].point, FINE_TOLERANCE))
-    whole = replace(
-        minima[-1],
-        history=tuple(loss for minimum in minima for loss in minimum.history),
-        iterations=sum(minimum.iterations for minimum in minima),
-        evaluations=sum(minimum.evaluations for minimum in minima),
-    )
-    return _Found(fine, whole, pinned)
+    first = last = solve(rough, begin(space), ROUGH_TOLERANCE)
+    yield _Found(space, first, {})
+    kept, wider, pinned = _reselected(rough, first.point, home, options)
+    if pinned:
+        space = wider
+        last = solve(replace(rough, space=space), begin(space), ROUGH_TOLERANCE)
+        yield _Found(space, last, pinned)
+    if last.loss > first.loss:
+        # Others in their place led to a worse minimum.
+        space = kept
+        last = solve(replace(rough, space=space), space.point(space.start), ROUGH_TOLERANCE)
+        yield _Found(space, last, pinned)
+    fine = _fine(space, pixels, options)
+    yield _Found(space, solve(fine, last.point, FINE_TOLERANCE), pinned)
+
+
+def _fine(space: SearchSpace, pixels: Pixels, options: Options) -> SkyObjective:
+    return _objective(space, pixels, FINE_PIXELS, FINE, options.seed + 1)
 
 
 def _reselected(
@@ -300,7 +331,7 @@ def _gains(scene: Scene) -> tuple[float, float, float]:
 def _parameters(scene: Scene, found: _Found, known: Uncertainty, options: Options) -> dict[str, Fitted]:
     """Every parameter of the scene, in files' units."""
     stands = places()
-    space = found.fine.space
+    space = found.space
     parameters = {}
     for name, in_file in keyframes.values(scene).items():
         specification = stands[name].specification

@@ -14,6 +14,9 @@ from torch import Tensor
 PATCHES_PER_TURN = 12  # patches of the sky, 30 degrees across, taken as independent of each other
 WIDEST = 0.25  # standard error, as a share of the bounds, from which a parameter counts as not determined
 AT_BOUND = 1e-6
+# Share of the slopes of a direction's unit step that its parameters' columns cancel to: below it, differences of a
+# millionth cannot tell the parameters apart.
+COLLINEAR = 1e-5
 
 
 @dataclass(frozen=True)
@@ -51,6 +54,9 @@ def uncertainty(
             why[index] = "at its lower bound" if place < 0.5 else "at its upper bound"
     while True:
         kept = [index for index, reason in enumerate(why) if not reason]
+        if kept and (same := _collinear(slopes[:, kept])) is not None:
+            why[kept[same]] = "not told apart from others by the photo"
+            continue
         error, correlation = _clustered(slopes[:, kept], held, groups)
         if not kept or error.max() <= WIDEST:
             break
@@ -61,6 +67,13 @@ def uncertainty(
     return Uncertainty(whole_error, whole_correlation, tuple(why))
 
 
+def _collinear(slopes: Float64[np.ndarray, "m k"]) -> int | None:
+    """Coordinate that does most what others do already; None where all are told apart."""
+    unit = slopes / np.linalg.norm(slopes, axis=0)
+    _, spread, directions = np.linalg.svd(unit, full_matrices=False)
+    return int(np.abs(directions[-1]).argmax()) if spread[-1] < COLLINEAR else None
+
+
 def _clustered(
     slopes: Float64[np.ndarray, "m k"], residuals: Float64[np.ndarray, " m"], groups: Int[np.ndarray, " m"]
 ) -> tuple[Float64[np.ndarray, " k"], Float64[np.ndarray, "k k"]]:
@@ -69,7 +82,7 @@ def _clustered(
     np.add.at(scores, group, slopes * residuals[:, None])
     # Few clusters underestimate the scatter by about one in each that the parameters use up.
     spare = max(names.size - slopes.shape[1], 1)
-    bread = np.linalg.pinv(slopes.T @ slopes, hermitian=True)
+    bread = np.linalg.inv(slopes.T @ slopes)
     covariance = bread @ (scores.T @ scores) @ bread * (names.size / spare)
     error = np.sqrt(np.maximum(covariance.diagonal(), 0.0))
     scale = np.where(error > 0.0, error, 1.0)

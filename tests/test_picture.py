@@ -110,6 +110,11 @@ def test_a_low_sun_is_red():
     assert red > green > blue
 
 
+def test_what_is_left_of_a_setting_sun_is_dimmed_by_the_air_towards_that_part():
+    half, whole = (picture.sunlight(scene(SUN_ELEVATION=degrees)) for degrees in (-0.045, 0.5))
+    assert half[0] > 0.15 * whole[0]
+
+
 def test_air_takes_blue_light_as_rayleigh_s_law_says():
     # Of clean air alone, at the zenith, the optical depths go as the inverse fourth power of the wavelength.
     clean = scene(SUN_ELEVATION=90.0, SKY_MIE_SCALE=0.01, SKY_COARSE_SCALE=0.001, SKY_OZONE=0.0, SKY_RAYLEIGH_SCALE=1.0)

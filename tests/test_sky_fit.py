@@ -1,4 +1,5 @@
 import math
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -199,7 +200,31 @@ def test_an_interrupt_gives_the_best_so_far(monkeypatch):
     assert math.isfinite(found.error)
 
 
+def test_an_interrupt_between_two_searches_gives_the_best_so_far(monkeypatch):
+    def interrupted(*_):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(sky, "_reselected", interrupted)
+    found = fit(photo(SEEN), GIVEN)
+    assert found.minimum.reason == INTERRUPTED
+    assert not found.minimum.converged
+    assert math.isfinite(found.error)
+    assert found.minimum.evaluations == len(found.minimum.history)
+
+
+def test_a_searched_sun_is_recorded_where_the_fit_has_put_it():
+    off = replace(SUN, elevation=SUN.elevation + 2.0)
+    found = fit(photo(SEEN), Options(sun=off, free=("SUN_ELEVATION",)))
+    assert found.sun.elevation == found.parameters["SUN_ELEVATION"].value
+    assert found.sun.elevation == pytest.approx(SUN.elevation, abs=0.5)
+
+
 # Refusals
+
+
+def test_the_sun_s_place_is_not_fixed_by_name():
+    with pytest.raises(InputError, match="--sun ELEVATION,AZIMUTH"):
+        fit(photo(SEEN), Options(fixed={"SUN_AZIMUTH": 10.0}))
 
 
 def test_a_black_photo_is_refused():
