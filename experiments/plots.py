@@ -1,11 +1,14 @@
 """Charts of the experiments' JSON files; each is written beside its file."""
 
 import json
+import math
 from pathlib import Path
 
 from matplotlib.figure import Figure
 
 MUST = 0.45  # largest geometric mean of the errors over those of the better peer
+COVERED = {"within_one": (0.63, 0.73), "within_two": (0.92, 0.97)}  # shares of intervals that are to hold the truth
+FEWEST = 30  # intervals below which a share says nothing
 MUST_BE_FASTER = 4.0  # least ratio of a peer's solve time to ours
 
 
@@ -60,4 +63,29 @@ def peer_time(path: Path) -> None:
     )
     axes.invert_yaxis()
     figure.legend(loc="outside upper center", ncols=5, fontsize="small")
+    figure.savefig(path.with_suffix(".png"), dpi=120)
+
+
+def coverage(path: Path) -> None:
+    """Shares of intervals that hold the truth, by parameter and by photo of the noise, with twice their own errors."""
+    content = json.loads(path.read_text(encoding="utf-8"))
+    rows = [row for row in (*content["records"], *content["noise"]) if row["determined"] >= FEWEST]
+    places = list(range(len(rows)))
+    figure = Figure(figsize=(9.0, 1.5 + 0.3 * len(rows)), layout="constrained")
+    axes = figure.subplots()
+    for (share, (low, high)), colour, label in zip(COVERED.items(), ("C0", "C1"), ("68 %", "95 %"), strict=True):
+        found = [row[share] for row in rows]
+        spread = [2.0 * math.sqrt(row[share] * (1.0 - row[share]) / row["determined"]) for row in rows]
+        axes.axvspan(low, high, color=colour, alpha=0.15, linewidth=0.0)
+        axes.errorbar(found, places, xerr=spread, fmt="o", color=colour, capsize=3.0, label=f"interval of {label}")
+    parameters = sum(row["determined"] >= FEWEST for row in content["records"])
+    axes.axhline(parameters - 0.5, color="0.7", linewidth=0.8)
+    axes.set(
+        yticks=places,
+        yticklabels=[f"{row['name']} ({row['determined']})" for row in rows],
+        xlim=(0.4, 1.02),
+        xlabel="share of intervals that hold the truth; shaded: what is asked",
+    )
+    axes.invert_yaxis()
+    figure.legend(loc="outside upper center", ncols=2, fontsize="small")
     figure.savefig(path.with_suffix(".png"), dpi=120)

@@ -1,7 +1,7 @@
 """What a sky fit makes small: differences of log radiance between photo and model, gains solved in closed form."""
 
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 
 import torch
 from jaxtyping import Float
@@ -11,11 +11,13 @@ from torch.utils._pytree import tree_map  # torch has no public name for it
 
 from diffrender.atmosphere import sky
 from diffrender.scene import Scene, sky_view
+from fit import priors
 from fit.search_space import SearchSpace
 
 # Differences of log radiance beyond this count less than their square: leaves and cloud edges that a mask let pass.
 ROBUST_WIDTH = 1.0
-# Weight of one whole range of a parameter away from its start: nothing where the photo speaks.
+# Weight of one standard deviation of a parameter from its prior's centre: nothing where the photo speaks. At three
+# times this weight the errors of fits to eleven photos grew by 1 %.
 PRIOR_WEIGHT = 1e-3
 STEP = 1e-6  # of the differences that stand for derivatives
 # Names of what is applied when the tables are looked up.
@@ -40,7 +42,7 @@ class SkyObjective:
     geometry: Callable[[Scene], sky.Geometry]  # rays of the tables; the same ones again where sun and eye stay
 
     def residuals(self, point: Float[Tensor, " n"]) -> Float[Tensor, " m"]:
-        """Robust differences of log radiance, then distances from the start; half their square sum is the loss."""
+        """Robust differences of log radiance, then distances from the priors; half their square sum is the loss."""
         return self._residuals(point, self._tables(point))
 
     def jacobian(self, point: Float[Tensor, " n"]) -> tuple[Float[Tensor, " m"], Float[Tensor, "m n"]]:
@@ -57,6 +59,20 @@ class SkyObjective:
         which = torch.tensor([sum(enters[:i]) if enter else 0 for i, enter in enumerate(enters)])
         values = vmap(self._residuals)(points, tree_map(lambda table: table[which], made))
         return values[0], ((values[1:] - values[0]) / step[:, None]).T
+
+    def changes(self, point: Float[Tensor, " n"], held: Sequence[str]) -> Float[Tensor, "h m"]:
+        """Change of the pixels' residuals when names that are not searched take the ends of their priors.
+
+        One row for each name's centre less its deviation, as far as bounds allow, one for its centre plus that.
+        """
+        whole = SearchSpace(self.space.scene(point), (*self.space.free, *held))
+        prior = priors.in_unit_cube(held)
+        points = torch.from_numpy(whole.point(whole.start)).repeat(2 * len(held) + 1, 1)
+        for index, (centre, spread) in enumerate(zip(prior.centre, prior.spread, strict=True)):
+            for row, end in ((2 * index + 1, centre - spread), (2 * index + 2, centre + spread)):
+                points[row, len(self.space.free) + index] = min(max(end, 0.0), 1.0)
+        values = vmap(replace(self, space=whole).residuals)(points)[:, : self.sample.log_radiance.numel()]
+        return values[1:] - values[0]
 
     def radiance(self, point: Float[Tensor, " n"]) -> Float[Tensor, "n 3"]:
         """Model's radiance under a sun of irradiance 1."""
@@ -81,7 +97,6 @@ class SkyObjective:
         # The mean is each channel's log gain, in closed form.
         difference = difference - difference.mean(-2)
         robust = difference * torch.sqrt(2.0 / (1.0 + torch.sqrt(1.0 + (difference / ROBUST_WIDTH).square())))
-        return torch.cat([robust.flatten() / difference.numel() ** 0.5, PRIOR_WEIGHT * (point - self._default(point))])
-
-    def _default(self, point: Tensor) -> Tensor:
-        return torch.from_numpy(self.space.point(self.space.start)).to(point)
+        prior = priors.in_unit_cube(self.space.free)
+        away = (point - torch.from_numpy(prior.centre).to(point)) / torch.from_numpy(prior.spread).to(point)
+        return torch.cat([robust.flatten() / difference.numel() ** 0.5, PRIOR_WEIGHT * away])

@@ -10,9 +10,13 @@ from fit.gauss_newton import QuadraticModel
 from fit.minimum import Point
 from fit.objective import SkyObjective
 from fit.search_space import SearchSpace, put, value
+from fit.uncertainty import WIDEST, reasons, unexplained
 
 # Without a cloud layer there is nothing that these could change.
 OF_OVERCAST = "SKY_OVERCAST"
+# Patches of sky, as if independent, for the rule of thumb by which parameters give way to others. Which do is a matter
+# of how good the picture gets; error bars are made with more care afterwards.
+PATCHES = 60
 DAMPING = 1e-3  # of a promise: steps across the whole box are seldom kept
 
 
@@ -23,6 +27,20 @@ def pinned_scene(space: SearchSpace, point: Point, names: Sequence[str], home: S
     for name in names:
         scene = put(scene, known[name], value(home, known[name]))
     return scene
+
+
+def left_open(objective: SkyObjective, point: Point) -> dict[str, str]:
+    """Reason of each searched name that may give way to others; empty for those that the photo speaks of."""
+    residuals, slopes = (found.numpy() for found in objective.jacobian(torch.from_numpy(point)))
+    count = objective.sample.log_radiance.numel()
+    why = reasons(slopes[:count], point)
+    while kept := unexplained(why):
+        curvature = slopes[:, kept].T @ slopes[:, kept]
+        error = np.sqrt(np.linalg.inv(curvature).diagonal() * float(residuals @ residuals) / PATCHES)
+        if error.max() <= WIDEST:
+            break
+        why[kept[int(error.argmax())]] = "not determined by the photo"
+    return dict(zip(objective.space.free, why, strict=True))
 
 
 def undetermined(why: Mapping[str, str], overcast: float | None) -> dict[str, str]:

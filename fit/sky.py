@@ -23,10 +23,10 @@ from fit.objective import Sample, SkyObjective
 from fit.photo import Photo
 from fit.pixels import Pixels, averaged, stratified, usable
 from fit.search_space import SearchSpace, value
-from fit.selection import begin, pinned_scene, undetermined, widened
+from fit.selection import OF_OVERCAST, begin, left_open, pinned_scene, undetermined, widened
 from fit.solution import Fitted, Solution, SunPlace
 from fit.solvers import Minimise, solver
-from fit.uncertainty import Uncertainty, patches, uncertainty
+from fit.uncertainty import Uncertainty, evidence, uncertainty
 from fit.weather_file import check
 
 SEARCHED = (
@@ -97,42 +97,64 @@ def fit(photo: Photo | Path, options: Options | None = None) -> Solution:
     """
     options = options or Options()
     began = time.monotonic()
-    minimise = solver(options.solver)
+    solver(options.solver)  # whose name is asked for before the photo is read
     photo = photo if isinstance(photo, Photo) else photos.read(photo)
     place = sun.checked(photo, options.sun) if options.sun else sun.find(photo)
     mask = sky_mask.read(options.mask, photo) if options.mask else sky_mask.find(photo, place)
     used = usable(photo, mask.used)
     pixels = averaged(photo, used)
     _check(pixels)
-    home = _home(options, place)
     read = time.monotonic()
-    found = _search(home, pixels, options, minimise)
-    space, minimum = found.objective.space, found.minimum
-    scene, error, known = _account(found.objective, pixels, minimum)
+    found = solve(pixels, place, options)
     solved = time.monotonic()
-    parameters = _parameters(scene, found, known, options)
-    kept = [index for index, name in enumerate(space.free) if parameters[name].determined]
+    space, known = found.space, found.known
+    kept = [index for index, name in enumerate(space.free) if found.parameters[name].determined]
     return Solution(
         effect="sky",
         photo=photo.path.name,
         camera=photo.camera,
         notes=(*photo.notes, mask.how),
-        scene=scene,
-        parameters=parameters,
+        scene=found.scene,
+        parameters=found.parameters,
         correlated=tuple(space.free[index] for index in kept),
         correlation=known.correlation[np.ix_(kept, kept)],
-        sun=_sun_place(place, scene, space),
-        gains=_gains(scene),
+        sun=_sun_place(place, found.scene, space),
+        gains=_gains(found.scene),
         used=used,
         pixels={"used": int(used.sum()), "masked": used.size - int(used.sum()), **photo.counts()},
         left_out={**found.pinned, **_left_out(space, known)},
-        error=error,
-        minimum=minimum,
+        error=found.error,
+        minimum=found.minimum,
         solver=options.solver,
         seed=options.seed,
         seconds={"read": read - began, "solve": solved - read},
         versions={name: version(name) for name in ("diffrender", "torch", "numpy", "scipy", "nlopt")},
     )
+
+
+@dataclass(frozen=True)
+class Solved:
+    """What the pixels of a photo give, the files and the camera aside."""
+
+    space: SearchSpace
+    minimum: Minimum
+    pinned: Mapping[str, str]  # names that were searched in vain, and why
+    scene: Scene
+    error: float  # mean square of the difference of log radiance
+    known: Uncertainty
+    parameters: Mapping[str, Fitted]
+
+
+def solve(pixels: Pixels, place: SunPlace, options: Options) -> Solved:
+    """Scene whose sky looks like some pixels, under a sun; of the options, mask and sun are not used.
+
+    Raises:
+        InputError: when an option cannot be used.
+    """
+    found = _search(_home(options, place), pixels, options, solver(options.solver))
+    scene, error, known = _account(found.objective, pixels, found, options)
+    parameters = _parameters(scene, found, known, options)
+    return Solved(found.objective.space, found.minimum, found.pinned, scene, error, known, parameters)
 
 
 def _sun_place(place: SunPlace, scene: Scene, space: SearchSpace) -> SunPlace:
@@ -242,9 +264,8 @@ def _reselected(
 ) -> tuple[SearchSpace, SearchSpace, dict[str, str]]:
     """Space without what the photo leaves open, one in which others take its place, and why names were left out."""
     space = objective.space
-    known = _known(objective, point)
     overcast = float(value(space.scene(torch.from_numpy(point)), places()["SKY_OVERCAST"]))
-    pinned = undetermined(dict(zip(space.free, known.why, strict=True)), overcast)
+    pinned = undetermined(left_open(objective, point), overcast)
     pinned = {name: why for name, why in pinned.items() if name not in options.free}
     if not pinned:
         return space, space, {}
@@ -254,10 +275,16 @@ def _reselected(
     return kept, widened(replace(objective, space=kept), pool, len(space.free)), pinned
 
 
-def _known(objective: SkyObjective, point: Point) -> Uncertainty:
-    residuals, slopes = objective.jacobian(torch.from_numpy(point))
-    count = objective.sample.direction.shape[0] * 3
-    return uncertainty(residuals[:count], slopes[:count], patches(objective.sample.direction), point)
+def _known(objective: SkyObjective, point: Point, options: Options) -> Uncertainty:
+    """How well coordinates are determined, whatever is held without being known; all is where a scene was given."""
+    space = objective.space
+    held = [name for name in (*SEARCHED, *POOL) if name not in space.free and name not in options.fixed]
+    if options.start is not None:
+        held = []
+    elif "SKY_OVERCAST" not in space.free and float(value(space.start, places()["SKY_OVERCAST"])) == 0.0:
+        # The photo showed no layer: the prior of its share no longer holds.
+        held = [name for name in held if not name.startswith(OF_OVERCAST)]
+    return uncertainty(evidence(objective, point, held), point)
 
 
 def _objective(space: SearchSpace, pixels: Pixels, count: int, size: sky.Size, seed: int) -> SkyObjective:
@@ -283,10 +310,12 @@ def _geometry(space: SearchSpace, size: sky.Size) -> Callable[[Scene], sky.Geome
     return lambda _: kept
 
 
-def _account(objective: SkyObjective, pixels: Pixels, minimum: Minimum) -> tuple[Scene, float, Uncertainty]:
+def _account(
+    objective: SkyObjective, pixels: Pixels, found: _Found, options: Options
+) -> tuple[Scene, float, Uncertainty]:
     """Scene with its gains, its error over all used pixels, and how well each coordinate is determined."""
-    point = torch.from_numpy(minimum.point)
-    known = _known(objective, minimum.point)
+    point = torch.from_numpy(found.minimum.point)
+    known = _known(objective, found.minimum.point, options)
     # The tables from which a picture is drawn: gains of coarser ones would be off by a percent.
     drawn = _geometry(objective.space, sky.Size())
     whole = replace(objective, sample=_sample(pixels, torch.arange(int(pixels.used.sum()))), geometry=drawn)

@@ -1,22 +1,48 @@
-"""How well a photo determines each searched parameter: standard errors that allow for residuals alike in neighbours.
+"""How well a photo determines each searched parameter: standard errors that hold.
 
-[1] K.-Y. Liang, S. Zeger, "Longitudinal data analysis using generalized linear models", Biometrika 73(1), 1986: the
-    variance of an estimate from the scatter of the gradient between clusters.
+Three things keep an estimate from the truth, and their variances are added: noise, which in skies is alike over tens of
+degrees [1]; parameters that the fit holds still and nature does not, by their priors; and the prior of the parameter
+itself where the photo says little. A standard error is one in the parameter's own scale: about value +- error for most,
+value times or over a factor for log parameters. Near a bound the interval ends at the bound.
+
+How often intervals hold the truth is measured by `experiments.coverage`.
+
+[1] W. Newey, K. West, "A simple, positive semi-definite, heteroskedasticity and autocorrelation consistent covariance
+    matrix", Econometrica 55(3), 1987: the variance of an estimate by least squares under correlated noise.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 import torch
-from jaxtyping import Float64, Int
-from torch import Tensor
+from jaxtyping import Float64
 
-PATCHES_PER_TURN = 12  # patches of the sky, 30 degrees across, taken as independent of each other
+from fit import priors
+from fit.minimum import Point
+from fit.objective import PRIOR_WEIGHT, SkyObjective
+from fit.residual_covariance import score_covariance
+
 WIDEST = 0.25  # standard error, as a share of the bounds, from which a parameter counts as not determined
 AT_BOUND = 1e-6
 # Share of the slopes of a direction's unit step that its parameters' columns cancel to: below it, differences of a
 # millionth cannot tell the parameters apart.
 COLLINEAR = 1e-5
+# The noise is known from one photo, a few clouds: Student's t of seven degrees of freedom varies by this much more
+# than a normal distribution. Seven is what coverage asked for.
+FEW_CLOUDS = 7.0 / 5.0
+
+
+@dataclass(frozen=True)
+class Evidence:
+    """What a photo says around a point: three values of each pixel, robust, half their square sum the loss."""
+
+    direction: Float64[np.ndarray, "n 3"]
+    residuals: Float64[np.ndarray, "n 3"]
+    slopes: Float64[np.ndarray, "n 3 k"]  # by each searched coordinate
+    # Change of residuals when what is held takes its prior's centre less and plus one deviation.
+    changes: Float64[np.ndarray, "h n 3"]
+    spread: Float64[np.ndarray, " k"]  # standard deviations of the searched coordinates' priors
 
 
 @dataclass(frozen=True)
@@ -28,62 +54,79 @@ class Uncertainty:
     why: tuple[str, ...]
 
 
-def patches(direction: Tensor) -> Int[Tensor, " n"]:
-    """Patch of the sky that a direction lies in: squares of the equal-area map of the hemisphere."""
-    radius = torch.sqrt(torch.clamp(1.0 - direction[:, 2], min=0.0))
-    level = direction[:, :2] / torch.clamp(torch.linalg.vector_norm(direction[:, :2], dim=-1, keepdim=True), min=1e-9)
-    square = torch.floor((level * radius[:, None] + 1.5) * PATCHES_PER_TURN / 4.0).long()
-    return square[:, 0] * 100 + square[:, 1]
+def evidence(objective: SkyObjective, point: Point, held: Sequence[str]) -> Evidence:
+    """What a photo says around a point, and what names that are held may do to it."""
+    place = torch.from_numpy(point)
+    residuals, slopes = objective.jacobian(place)
+    shape = tuple(objective.sample.log_radiance.shape)
+    count = objective.sample.log_radiance.numel()
+    return Evidence(
+        direction=objective.sample.direction.numpy(),
+        residuals=residuals[:count].reshape(shape).numpy(),
+        slopes=slopes[:count].reshape(*shape, point.size).numpy(),
+        changes=objective.changes(place, held).reshape(-1, *shape).numpy(),
+        spread=priors.in_unit_cube(objective.space.free).spread,
+    )
 
 
-def uncertainty(
-    residuals: Tensor, jacobian: Tensor, patch: Int[Tensor, " n"], point: Float64[np.ndarray, " n"]
-) -> Uncertainty:
-    """Standard errors in the unit cube from residuals and slopes, three of each for every pixel [1].
+def uncertainty(evidence: Evidence, point: Float64[np.ndarray, " k"]) -> Uncertainty:
+    """Standard errors in the unit cube.
 
-    Coordinates on a face of the cube, without slope, or with an error beyond WIDEST are not determined; the others'
-    errors are those with these held.
+    Coordinates on a face of the cube, without slope, or with an error beyond WIDEST are not determined. They stay free
+    in the errors of the others: the face may be the noise's doing.
     """
-    slopes, held = jacobian.numpy(), residuals.numpy()
-    groups = patch.repeat_interleave(3).numpy()
+    why = reasons(evidence.slopes.reshape(-1, point.size), point)
+    covariance = _covariance(evidence)
+    error = np.sqrt(np.maximum(covariance.diagonal(), 0.0))
+    for index in unexplained(why):
+        if error[index] > WIDEST:
+            why[index] = "not determined by the photo"
+    kept = unexplained(why)
+    whole_error, whole_correlation = np.full(point.size, np.nan), np.eye(point.size)
+    whole_error[kept] = error[kept]
+    # Residuals of 0 leave errors of 0, which have no correlation.
+    scale = np.where(error > 0.0, error, 1.0)[kept]
+    whole_correlation[np.ix_(kept, kept)] = covariance[np.ix_(kept, kept)] / np.outer(scale, scale)
+    return Uncertainty(whole_error, whole_correlation, tuple(why))
+
+
+def reasons(slopes: Float64[np.ndarray, "m k"], point: Float64[np.ndarray, " k"]) -> list[str]:
+    """Why coordinates are not determined whatever the noise; empty for those that may be."""
     why = ["" for _ in point]
     for index, place in enumerate(point):
         if not np.abs(slopes[:, index]).max() > 0.0:
             why[index] = "without influence on this photo"
         elif place <= AT_BOUND or place >= 1.0 - AT_BOUND:
             why[index] = "at its lower bound" if place < 0.5 else "at its upper bound"
-    while True:
-        kept = [index for index, reason in enumerate(why) if not reason]
-        if kept and (same := _collinear(slopes[:, kept])) is not None:
-            why[kept[same]] = "not told apart from others by the photo"
-            continue
-        error, correlation = _clustered(slopes[:, kept], held, groups)
-        if not kept or error.max() <= WIDEST:
-            break
-        why[kept[int(error.argmax())]] = "not determined by the photo"
-    whole_error, whole_correlation = np.full(point.size, np.nan), np.eye(point.size)
-    whole_error[kept] = error
-    whole_correlation[np.ix_(kept, kept)] = correlation
-    return Uncertainty(whole_error, whole_correlation, tuple(why))
+    while (same := _collinear(slopes, kept := unexplained(why))) is not None:
+        why[kept[same]] = "not told apart from others by the photo"
+    return why
 
 
-def _collinear(slopes: Float64[np.ndarray, "m k"]) -> int | None:
-    """Coordinate that does most what others do already; None where all are told apart."""
-    unit = slopes / np.linalg.norm(slopes, axis=0)
+def unexplained(why: list[str]) -> list[int]:
+    """Indices of the empty reasons."""
+    return [index for index, reason in enumerate(why) if not reason]
+
+
+def _collinear(slopes: Float64[np.ndarray, "m n"], kept: list[int]) -> int | None:
+    """Coordinate among some that does most what others do already; None where all are told apart."""
+    if not kept:
+        return None
+    unit = slopes[:, kept] / np.linalg.norm(slopes[:, kept], axis=0)
     _, spread, directions = np.linalg.svd(unit, full_matrices=False)
     return int(np.abs(directions[-1]).argmax()) if spread[-1] < COLLINEAR else None
 
 
-def _clustered(
-    slopes: Float64[np.ndarray, "m k"], residuals: Float64[np.ndarray, " m"], groups: Int[np.ndarray, " m"]
-) -> tuple[Float64[np.ndarray, " k"], Float64[np.ndarray, "k k"]]:
-    names, group = np.unique(groups, return_inverse=True)
-    scores = np.zeros((names.size, slopes.shape[1]))
-    np.add.at(scores, group, slopes * residuals[:, None])
-    # Few clusters underestimate the scatter by about one in each that the parameters use up.
-    spare = max(names.size - slopes.shape[1], 1)
-    bread = np.linalg.inv(slopes.T @ slopes)
-    covariance = bread @ (scores.T @ scores) @ bread * (names.size / spare)
-    error = np.sqrt(np.maximum(covariance.diagonal(), 0.0))
-    scale = np.where(error > 0.0, error, 1.0)
-    return error, covariance / np.outer(scale, scale)
+def _covariance(evidence: Evidence) -> Float64[np.ndarray, "k k"]:
+    """Mean square of the distance between estimate and truth, to first order in slopes."""
+    # Gains in closed form have taken the mean already; what robustness has put back of it would be noise.
+    slopes = evidence.slopes - evidence.slopes.mean(0)
+    flat = slopes.reshape(-1, slopes.shape[2])
+    ridge = (PRIOR_WEIGHT / evidence.spread) ** 2
+    bread = np.linalg.inv(flat.T @ flat + np.diag(ridge))
+    noise = FEW_CLOUDS * score_covariance(evidence.direction, evidence.residuals, slopes)
+    # Of centre less and plus a deviation, each counts half.
+    held = evidence.changes.reshape(len(evidence.changes), flat.shape[0]) @ flat
+    own = np.diag((ridge * evidence.spread) ** 2)
+    covariance: Float64[np.ndarray, "k k"] = bread @ (noise + 0.5 * held.T @ held + own) @ bread
+    return covariance
