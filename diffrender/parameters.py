@@ -114,6 +114,25 @@ def defaults(record_type: type[Record], dtype: torch.dtype | None = None) -> Rec
     return record_type(**{n: torch.tensor(s.default, dtype=dtype) for n, s in specifications(record_type).items()})
 
 
+def to_cube(values: Any) -> Tensor:
+    """Point of the unit cube where a record without batch stands: its scalars and channels in the order of `names`."""
+    known = specifications(type(values))
+    return torch.cat([known[name].to_unit(getattr(values, name)).reshape(-1) for name in known])
+
+
+def from_cube(record_type: type[Record], point: Tensor) -> Record:
+    """Record at a point of the unit cube; the inverse of `to_cube`, differentiable."""
+    known = specifications(record_type)
+    shapes = [torch.Size([len(CHANNELS)] if isinstance(one.default, tuple) else []) for one in known.values()]
+    parts = point.split([shape.numel() for shape in shapes])
+    return record_type(
+        **{
+            name: one.from_unit(part.reshape(shape))
+            for (name, one), shape, part in zip(known.items(), shapes, parts, strict=True)
+        }
+    )
+
+
 def names(record_type: type[Any], prefix: str) -> dict[str, tuple[str, int | None]]:
     """Where each scalar of a record stands: name in weather files -> field and channel (None for a scalar).
 

@@ -15,7 +15,7 @@ import torch
 from torch.utils import _pytree as pytree
 
 from diffrender.catalogue import EFFECTS
-from diffrender.parameters import defaults, specifications
+from diffrender.parameters import defaults, from_cube, specifications, to_cube
 
 RUNGS = [pytest.param(effect, rung, id=f"{effect}: {rung}") for effect in EFFECTS for rung in EFFECTS[effect].rungs]
 SKIPPABLE = [effect for effect in EFFECTS if "skip" in EFFECTS[effect].rungs]
@@ -50,21 +50,12 @@ def brightest(effect):
 
 def start(effect):
     """Defaults as a point of the cube; a thousandth inside, so that both sides can be stepped to."""
-    kind = EFFECTS[effect].parameters
-    values = defaults(kind, torch.float64)
-    places = [s.to_unit(getattr(values, name)).reshape(-1) for name, s in specifications(kind).items()]
-    return torch.cat(places).clamp(1e-3, 1.0 - 1e-3)
+    return to_cube(defaults(EFFECTS[effect].parameters, torch.float64)).clamp(1e-3, 1.0 - 1e-3)
 
 
 def record_at(effect, point):
     """Record of parameters at a point of the cube."""
-    kind = EFFECTS[effect].parameters
-    values, left = {}, point
-    for name, specification in specifications(kind).items():
-        shape = torch.tensor(specification.default).shape
-        place, left = left[: shape.numel()], left[shape.numel() :]
-        values[name] = specification.from_unit(place.reshape(shape))
-    return kind(**values)
+    return from_cube(EFFECTS[effect].parameters, point)
 
 
 def picture(effect, rung, point, inputs=None):

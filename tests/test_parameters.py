@@ -8,7 +8,16 @@ from jaxtyping import Float
 from torch import Tensor
 from torch.utils import _pytree as pytree
 
-from diffrender.parameters import Specification, defaults, names, parameter, record, specifications
+from diffrender.parameters import (
+    Specification,
+    defaults,
+    from_cube,
+    names,
+    parameter,
+    record,
+    specifications,
+    to_cube,
+)
 
 LINEAR = Specification(1.0, (-2.0, 3.0), "m", "a length")
 LOG = Specification(1.0, (1e-12, 1e12), "1", "a ratio", "log")
@@ -182,3 +191,22 @@ def test_vmap_of_jvp_through_a_record_agrees_with_reverse_mode() -> None:
     along = torch.func.vmap(lambda way: torch.func.jvp(brightness, (haze(),), (way,))[1])(directions)
     expected = sum((a * b).sum() for a, b in zip(pytree.tree_leaves(slope), pytree.tree_leaves(haze()), strict=True))
     torch.testing.assert_close(along, torch.stack([expected, -expected]), rtol=1e-14, atol=0.0)
+
+
+def test_a_record_comes_back_from_the_cube() -> None:
+    back = from_cube(Haze, to_cube(haze()))
+    torch.testing.assert_close(dataclasses.asdict(back), dataclasses.asdict(haze()), rtol=1e-14, atol=0.0)
+
+
+def test_a_place_in_the_cube_moves_the_scalar_of_that_name() -> None:
+    middle = to_cube(haze())
+    for place, (name, channel) in enumerate(names(Haze, "").values()):
+        moved = from_cube(Haze, middle.index_fill(0, torch.tensor(place), 1.0))
+        changed = {n: getattr(moved, n) != getattr(from_cube(Haze, middle), n) for n in specifications(Haze)}
+        assert [n for n, differs in changed.items() if bool(differs.any())] == [name]
+        assert channel is None or changed[name].tolist() == [one == channel for one in range(3)]
+
+
+def test_a_point_of_another_length_is_no_record() -> None:
+    with pytest.raises(RuntimeError, match="split"):
+        from_cube(Haze, torch.zeros(4))
