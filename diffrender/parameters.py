@@ -124,7 +124,7 @@ def from_cube(record_type: type[Record], point: Tensor) -> Record:
     """Record at a point of the unit cube; the inverse of `to_cube`, differentiable."""
     known = specifications(record_type)
     shapes = [torch.Size([len(CHANNELS)] if isinstance(one.default, tuple) else []) for one in known.values()]
-    parts = point.split([shape.numel() for shape in shapes])
+    parts = torch.split(point, [shape.numel() for shape in shapes])
     return record_type(
         **{
             name: one.from_unit(part.reshape(shape))

@@ -92,41 +92,9 @@ def test_cells_of_a_cross_that_show_nothing_are_black():
     assert (drawn.sky[:16, 16:32] > 0.0).all()
 
 
-# Sunlight
-
-
-def test_no_more_sunlight_arrives_than_was_sent():
-    share = picture.sunlight(SCENE)
-    assert ((share > 0.0) & (share < 1.0)).all()
-
-
-def test_haze_and_a_low_sun_take_sunlight_away():
-    assert (picture.sunlight(scene(SKY_MIE_SCALE=20.0)) < picture.sunlight(SCENE)).all()
-    assert (picture.sunlight(scene(SUN_ELEVATION=5.0)) < picture.sunlight(SCENE)).all()
-
-
-def test_a_low_sun_is_red():
-    red, green, blue = picture.sunlight(scene(SUN_ELEVATION=2.0)).tolist()
-    assert red > green > blue
-
-
-def test_what_is_left_of_a_setting_sun_is_dimmed_by_the_air_towards_that_part():
-    half, whole = (picture.sunlight(scene(SUN_ELEVATION=degrees)) for degrees in (-0.045, 0.5))
-    assert half[0] > 0.15 * whole[0]
-
-
-def test_air_takes_blue_light_as_rayleigh_s_law_says():
-    # Of clean air alone, at the zenith, the optical depths go as the inverse fourth power of the wavelength.
-    clean = scene(SUN_ELEVATION=90.0, SKY_MIE_SCALE=0.01, SKY_COARSE_SCALE=0.001, SKY_OZONE=0.0, SKY_RAYLEIGH_SCALE=1.0)
-    depth = -torch.log(picture.sunlight(clean))
-    assert 0.03 < float(depth[0]) < float(depth[1]) < float(depth[2]) < 0.35
-    assert float(depth[2] / depth[0]) == pytest.approx((680.0 / 440.0) ** 4, rel=0.1)
-
-
 @pytest.mark.parametrize("changes", [{"SUN_ELEVATION": -3.0}, {"SKY_OVERCAST": 1.0}])
-def test_behind_the_earth_or_clouds_there_is_no_sun(changes):
+def test_behind_the_earth_or_clouds_there_is_no_disc(changes):
     dark = scene(**changes)
-    assert not picture.sunlight(dark).any()
     assert not picture.draw(dark, rays.Equirectangular(360, 180)).disc.any()
 
 

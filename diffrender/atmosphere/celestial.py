@@ -146,9 +146,10 @@ def _measured_profile(angle: Float[Tensor, "*batch"]) -> Float[Tensor, "*batch 3
 
 
 def largest_change(sun: Sun, seen: SunView) -> Float[Tensor, ""]:
-    """Radiance of the disc's middle, in its brightest channel [W/(m^2 sr)]."""
-    brightest = _mean_radiance(sun, seen) * (1.0 + sun.irradiance.new_tensor(LIMB_EXPONENTS) / 2.0)
-    return brightest.amax()
+    """Radiance of the disc's middle, in its brightest channel [W/(m^2 sr)]; 0 where no ray meets the disc."""
+    brightest = (_mean_radiance(sun, seen) * (1.0 + sun.irradiance.new_tensor(LIMB_EXPONENTS) / 2.0)).amax()
+    is_seen = (_share_within(sun, seen.rays) < 1.0).any()
+    return torch.where(is_seen, brightest, torch.zeros_like(brightest))
 
 
 def example_inputs(dtype: torch.dtype) -> SunView:
