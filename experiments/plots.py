@@ -89,3 +89,33 @@ def coverage(path: Path) -> None:
     axes.invert_yaxis()
     figure.legend(loc="outside upper center", ncols=2, fontsize="small")
     figure.savefig(path.with_suffix(".png"), dpi=120)
+
+
+def error_versus_time(path: Path) -> None:
+    """Error over time, both as powers of ten: a line for each effect, a place for each rung."""
+    content = json.loads(path.read_text(encoding="utf-8"))
+    figure = Figure(figsize=(9.0, 6.0), layout="constrained")
+    axes = figure.subplots()
+    for effect in dict.fromkeys(row["effect"] for row in content["records"]):
+        rows = [row for row in content["records"] if row["effect"] == effect]
+        drawing = [1e3 * row["times"]["render"]["median"] for row in rows]
+        whole = [1e3 * row["times"]["prepare"]["median"] + time for row, time in zip(rows, drawing, strict=True)]
+        error = [row["on_examples"]["largest"] for row in rows]
+        (line,) = axes.plot(whole, error, marker="o", label=f"{effect}: largest, tables and picture")
+        axes.plot(drawing, error, marker="|", linestyle="", color=line.get_color())
+        axes.hlines(error, drawing, whole, color=line.get_color(), linewidth=0.8)
+        if all(row["on_picture"] for row in rows):
+            median = [row["on_picture"]["median"] for row in rows]
+            axes.plot(whole, median, marker=".", linestyle=":", color=line.get_color(), label="median on a picture")
+        for row, time, height in zip(rows, whole, error, strict=True):
+            axes.annotate(row["rung"], (time, height), textcoords="offset points", xytext=(5, 5), fontsize="small")
+    width, height = content["size"]["timed"]
+    axes.set(
+        xscale="log",
+        yscale="log",
+        xlabel=f"ms for a picture of {width} × {height} on one thread; tick: without what is prepared once",
+        ylabel="error in float32 against the reference",
+    )
+    axes.grid(alpha=0.3)
+    axes.legend(fontsize="small")
+    figure.savefig(path.with_suffix(".png"), dpi=120)

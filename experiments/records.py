@@ -5,15 +5,15 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from experiments.timing import provenance
+from experiments.timing import THREADS, provenance
 
 RESULTS = Path(__file__).parent / "results"
 
 
-def write(path: Path, content: Mapping[str, Any]) -> None:
+def write(path: Path, content: Mapping[str, Any], threads: int = THREADS) -> None:
     """Write an experiment's content with its provenance as JSON; its folder is made where it is missing."""
     path.parent.mkdir(parents=True, exist_ok=True)
-    whole = {"experiment": path.stem, **content, **provenance()}
+    whole = {"experiment": path.stem, **content, **provenance(threads)}
     path.write_text(json.dumps(whole, indent=1, allow_nan=False) + "\n", encoding="utf-8")
 
 

@@ -6,13 +6,15 @@ import platform
 import shutil
 import statistics
 import subprocess
-from collections.abc import Callable, Iterable, Sequence
+import time
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from importlib import metadata
 from pathlib import Path
 from typing import Any
 
+LEAST_SECONDS = 5e-3  # that a work is timed for
 THREADS = 2  # of whatever is timed, so that machines with more cores give the same ratios
 PACKAGES = ("torch", "numpy", "scipy", "nlopt", "OpenEXR", "OpenImageIO", "mitsuba", "drjit")
 ROOT = Path(__file__).parents[1]
@@ -71,17 +73,39 @@ def interleaved(first: Seconds, second: Seconds, rounds: int) -> Comparison:
 
     A machine that slows down for a while then slows both; the ratio is taken within a round.
     """
-    pairs = [(first(), second()) for _ in range(rounds + 1)][1:]
-    return Comparison(spread([a for a, _ in pairs]), spread([b for _, b in pairs]), spread([b / a for a, b in pairs]))
+    timed = in_turn({"first": first, "second": second}, rounds)
+    return Comparison(timed["first"], timed["second"], ratio(timed["second"], timed["first"]))
 
 
-def provenance() -> dict[str, Any]:
+def in_turn(works: Mapping[str, Seconds], rounds: int) -> dict[str, Spread]:
+    """Any number of timed works by name, run A B C A B C after one round that does not count."""
+    each = [{name: work() for name, work in works.items()} for _ in range(rounds + 1)][1:]
+    return {name: spread([one[name] for one in each]) for name in works}
+
+
+def ratio(longer: Spread, shorter: Spread) -> Spread:
+    """How many times longer one work takes than another with which it took turns, round by round."""
+    return spread([a / b for a, b in zip(longer.each, shorter.each, strict=True)])
+
+
+def seconds_of(work: Callable[[], object]) -> float:
+    """Time of one call [s]: called again and again for a few milliseconds, so that the clock does not count."""
+    calls, taken = 0, 0.0
+    began = time.perf_counter()
+    while taken < LEAST_SECONDS:
+        work()
+        calls += 1
+        taken = time.perf_counter() - began
+    return taken / calls
+
+
+def provenance(threads: int = THREADS) -> dict[str, Any]:
     """Machine, versions, commit and date of a record; nothing that names the machine or its user."""
     return {
         "machine": {
             "processor": _processor(),
             "cores": os.cpu_count(),
-            "threads": THREADS,
+            "threads": threads,
             "load": os.getloadavg(),
             "system": f"{platform.system()} {platform.machine()}",
         },

@@ -1,0 +1,154 @@
+"""What experiments ask of effects: which ones, at which points of their boxes, and what they are shown.
+
+The tables below hold what an effect's own `example_inputs` cannot: pictures to time it on, and the hard places of its
+inputs, where its box is swept. An effect that has no entry is shown its examples.
+"""
+
+import argparse
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+from torch.utils import _pytree as pytree
+
+from diffrender.atmosphere.celestial import Sun, SunView
+from diffrender.atmosphere.sky import SkyView
+from diffrender.catalogue import EFFECTS
+from diffrender.effect import Effect
+from diffrender.parameters import defaults, names, specifications, to_cube
+from diffrender.rays import Camera, Equirectangular, Perspective, Rays, from_angles, pixel_centres
+from experiments.records import RESULTS
+
+IRRADIANCE = specifications(Sun)["irradiance"].default
+
+
+@dataclass(frozen=True)
+class Given:
+    """What an experiment on effects was asked for."""
+
+    effects: Mapping[str, Effect]
+    is_small: bool
+    out: Path
+
+
+def ask(about: str, arguments: Sequence[str] | None, known: Sequence[str] = tuple(EFFECTS)) -> Given:
+    """Effects and size from a command line; `known` are those that the experiment is about."""
+    parser = argparse.ArgumentParser(description=about)
+    parser.add_argument("names", nargs="*", help=f"effects, of {', '.join(known)}; all where none is named")
+    parser.add_argument("--size", choices=("small", "full"), default="full")
+    parser.add_argument("--out", type=Path, default=RESULTS, help="folder of the results")
+    asked = parser.parse_args(arguments)
+    unknown = sorted(set(asked.names) - set(known))
+    if unknown:
+        parser.error(f"no effect {', '.join(unknown)}; known: {', '.join(known)}")
+    chosen = {name: EFFECTS[name] for name in known if not asked.names or name in asked.names}
+    return Given(chosen, asked.size == "small", asked.out)
+
+
+def in_dtype(inputs: Any, dtype: torch.dtype) -> Any:
+    """The same numbers in another dtype; whole numbers and truth values stay what they are."""
+    return pytree.tree_map_only(torch.Tensor, lambda t: t.to(dtype) if t.is_floating_point() else t, inputs)
+
+
+def corners(kind: type[Any]) -> dict[str, Float[Tensor, " n"]]:
+    """Points of a record's cube by name: defaults, all low, all high, and each scalar alone at either bound."""
+    middle = to_cube(defaults(kind, torch.float64))
+    found = {"defaults": middle, "all low": torch.zeros_like(middle), "all high": torch.ones_like(middle)}
+    for place, name in enumerate(names(kind, "")):
+        for side, bound in (("low", 0.0), ("high", 1.0)):
+            found[f"{name} {side}"] = middle.index_fill(0, torch.tensor(place), bound)
+    return found
+
+
+def scattered(kind: type[Any], count: int) -> dict[str, Float[Tensor, " n"]]:
+    """So many corners of a record's cube in which every scalar is at either bound, and as many points inside it."""
+    dimensions, draw = len(names(kind, "")), torch.Generator().manual_seed(0)
+    at_bounds = torch.randint(0, 2, (count, dimensions), generator=draw).double()
+    inside = torch.rand(count, dimensions, generator=draw, dtype=torch.float64)
+    found = {f"corner {place}": point for place, point in enumerate(at_bounds)}
+    return found | {f"inside {place}": point for place, point in enumerate(inside)}
+
+
+def directions(camera: Camera) -> Float[Tensor, "height width 3"]:
+    """Of every pixel of a camera."""
+    return camera.direction(*pixel_centres(camera, slice(None), torch.zeros((), dtype=torch.float64)))
+
+
+def _sky_picture(width: int, height: int) -> SkyView:
+    """The upper half of a panorama with a sun at 20 degrees."""
+    return _sky_view(directions(Equirectangular(width, height, lowest=0.0)), elevation=20.0)
+
+
+def _sky_view(direction: Tensor, elevation: float) -> SkyView:
+    to_sun = from_angles(*torch.deg2rad(torch.tensor([elevation, 30.0], dtype=torch.float64)))
+    return SkyView(direction, to_sun, direction.new_tensor(IRRADIANCE), direction.new_tensor(2.0))
+
+
+def _disc_picture(width: int, height: int) -> SunView:
+    """A sun that a quarter of the picture is as wide as."""
+    sun = defaults(Sun, torch.float64)
+    camera = Perspective(width, height, field_of_view=0.04, pitch=float(sun.elevation))
+    direction = directions(camera)
+    rays = Rays(direction.new_zeros(3), direction, direction.new_tensor(math.inf))
+    return SunView(rays, direction.new_tensor((0.9, 0.8, 0.6)))
+
+
+# Effect -> inputs of a picture so wide and high, in float64.
+PICTURES: Mapping[str, Callable[[int, int], Any]] = {"sky": _sky_picture, "sun disc": _disc_picture}
+
+
+def picture_inputs(name: str, width: int, height: int) -> Any:
+    """Inputs of an effect for a picture; of one without an entry its examples, repeated until they are as many."""
+    if name in PICTURES:
+        return PICTURES[name](width, height)
+    effect = EFFECTS[name]
+    examples = effect.example_inputs(torch.float64)
+    *_, last = effect.rungs.values()
+    drawn = last(defaults(effect.parameters, torch.float64), examples)
+    times = math.ceil(3 * width * height / drawn.numel())
+
+    def repeated(tensor: Tensor) -> Tensor:
+        # As in the contract's tests: what is as long as the picture is one of its elements.
+        is_shared = tensor.shape[:1] != drawn.shape[:1]
+        return tensor if is_shared else torch.cat([tensor] * times)
+
+    return pytree.tree_map_only(torch.Tensor, repeated, examples)
+
+
+SUNS = (90.0, 1.0, 0.0, -0.1, -6.0, -12.0)  # elevations in degrees
+
+
+def _hard_skies() -> dict[str, SkyView]:
+    """A sun from the zenith to night, seen from the ground; and from a mountain and an aeroplane a low one."""
+    found = {f"sun {sun:g}": _sky_view(_hard_directions(sun), sun) for sun in SUNS}
+    for altitude in (0.0, 3e3, 12e3):
+        low = _sky_view(_hard_directions(1.0), 1.0)
+        found[f"sun 1 from {altitude:g} m"] = SkyView(
+            low.direction, low.to_sun, low.irradiance, low.direction.new_tensor(altitude)
+        )
+    return found
+
+
+def _hard_directions(sun: float) -> Float[Tensor, "n 3"]:
+    """Round the zenith, the horizon, the ground's edge and the sun, and away from all of them."""
+    places = [(90.0, 0.0), (89.999, 200.0), (60.0, 200.0), (45.0, 90.0), (30.0, 30.0), (15.0, 330.0), (5.0, 120.0)]
+    places += [(elevation, azimuth) for elevation in (1.0, 0.001, 0.0, -0.001) for azimuth in (30.0, 120.0, 210.0)]
+    places += [(-0.04, 20.0), (-0.05, 20.0), (-10.0, 0.0)]
+    places += [(sun, 30.0), (sun - 0.01, 30.0), (sun, 30.5), (sun - 2.0, 29.0), (-sun, 210.0)]
+    elevation, azimuth = torch.deg2rad(torch.tensor(places, dtype=torch.float64)).unbind(-1)
+    return from_angles(elevation, azimuth)
+
+
+# Effect -> its hard inputs by name, in float64.
+HARD: Mapping[str, Callable[[], Mapping[str, Any]]] = {"sky": _hard_skies}
+
+
+def hard_inputs(name: str) -> Mapping[str, Any]:
+    """Inputs of an effect on which its box is swept, in float64; its examples are always among them."""
+    found = {"examples": EFFECTS[name].example_inputs(torch.float64)}
+    return found | dict(HARD[name]()) if name in HARD else found

@@ -1,0 +1,218 @@
+"""How far each rung of an effect is from its reference, and what it costs.
+
+Errors are those of float32 at the defaults, on the effect's examples, where the hard cases are, and on a small picture.
+Times are of one thread on a larger picture: what a rung prepares apart from what it draws, eager and compiled; all
+rungs and a copy of the picture's bytes take turns, and ratios are taken within a turn.
+"""
+
+import shutil
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict, dataclass
+from functools import partial
+from typing import Any
+
+import torch
+from torch import Tensor
+from torch._dynamo.exc import TorchDynamoException  # torch has no public name for what torch.compile raises
+
+from diffrender.effect import Effect
+from diffrender.parameters import defaults
+from experiments import effects, plots, records
+from experiments.timing import Spread, in_turn, ratio, seconds_of, spread
+
+COMPILERS = ("g++", "c++", "clang++")
+LIT = 1e-6  # share of a picture's largest value above which a value has an error of its own
+
+
+@dataclass(frozen=True)
+class Size:
+    """Width and height of what is timed, and of what is judged; rounds of timing; whether compiled too."""
+
+    timed: tuple[int, int] = (256, 128)
+    judged: tuple[int, int] = (48, 24)
+    rounds: int = 11
+    is_compiled: bool = True
+
+
+SMALL = Size(timed=(16, 8), judged=(8, 4), rounds=1, is_compiled=False)
+
+
+@dataclass(frozen=True)
+class Error:
+    """Distance of a picture from the reference.
+
+    Attributes:
+        largest: of any value, in the reference's largest.
+        median: of the values, each in the reference's own there.
+    """
+
+    largest: float
+    median: float
+
+
+@dataclass(frozen=True)
+class Times:
+    """What a rung costs [s], and in other times of the same turns.
+
+    Attributes:
+        ratio: of preparing and drawing, in that of the cheapest rung that draws.
+        copies: of drawing alone, in that of a copy of the picture's bytes.
+        compiled: of drawing by torch.compile; None where that was not timed.
+        compiled_speed: how many times faster compiled is than eager.
+    """
+
+    prepare: Spread
+    render: Spread
+    ratio: Spread
+    copies: Spread
+    compiled: Spread | None
+    compiled_speed: Spread | None
+
+
+@dataclass(frozen=True)
+class Step:
+    """One rung; on a picture only where the effect has one of its own."""
+
+    effect: str
+    rung: str
+    on_examples: Error
+    on_picture: Error | None
+    times: Times
+
+
+def error(drawn: Tensor, reference: Tensor) -> Error:
+    """Distance of a picture from its reference.
+
+    Raises:
+        ValueError: when the reference is black.
+    """
+    truth, apart = reference.double().abs(), (drawn.double() - reference.double()).abs()
+    brightest = truth.max()
+    if not brightest > 0.0:
+        raise ValueError("the reference is black; give inputs on which the effect draws something")
+    lit = truth > LIT * brightest
+    return Error(float(apart.max() / brightest), float((apart[lit] / truth[lit]).median()))
+
+
+def errors(effect: Effect, inputs: Any) -> dict[str, Error]:
+    """Error of each rung at the defaults, in float32, from the reference on the same numbers in float64."""
+    parameters, inputs = (effects.in_dtype(given, torch.float32) for given in (defaults(effect.parameters), inputs))
+    reference = effect.reference(*(effects.in_dtype(given, torch.float64) for given in (parameters, inputs)))
+    return {name: error(rung(parameters, inputs), reference) for name, rung in effect.rungs.items()}
+
+
+def times(effect: Effect, inputs: Any, rounds: int, compiled: Mapping[str, Callable[..., Tensor]]) -> dict[str, Times]:
+    """Times of each rung at the defaults; `compiled` are those rungs that were."""
+    parameters = defaults(effect.parameters, torch.float32)
+    works: dict[str, Callable[[], object]] = {}
+    for name, rung in effect.rungs.items():
+        prepared = rung.prepare(parameters, inputs)
+        works[f"prepare {name}"] = partial(rung.prepare, parameters, inputs)
+        works[f"render {name}"] = partial(rung.render, parameters, prepared)
+        if name in compiled:
+            works[f"compiled {name}"] = partial(compiled[name], parameters, prepared)
+    drawn = rung.render(parameters, prepared)
+    works["copy"] = partial(torch.empty_like(drawn).copy_, drawn)
+    found = in_turn({name: partial(seconds_of, work) for name, work in works.items()}, rounds)
+    whole = {
+        name: spread([a + b for a, b in zip(found[f"prepare {name}"].each, found[f"render {name}"].each, strict=True)])
+        for name in effect.rungs
+    }
+    cheapest = next(name for name in effect.rungs if name != "skip")
+    return {
+        name: Times(
+            prepare=found[f"prepare {name}"],
+            render=found[f"render {name}"],
+            ratio=ratio(whole[name], whole[cheapest]),
+            copies=ratio(found[f"render {name}"], found["copy"]),
+            compiled=found.get(f"compiled {name}"),
+            compiled_speed=ratio(found[f"render {name}"], found[f"compiled {name}"]) if name in compiled else None,
+        )
+        for name in effect.rungs
+    }
+
+
+def compiled_rungs(effect: Effect, inputs: Any) -> tuple[dict[str, Callable[..., Tensor]], dict[str, str]]:
+    """What torch.compile makes of the rungs, and what it says of those that it cannot compile.
+
+    Raises:
+        ArithmeticError: when a compiled rung draws another picture than the eager one.
+    """
+    if not any(map(shutil.which, COMPILERS)):
+        return {}, dict.fromkeys(effect.rungs, f"none of the compilers {', '.join(COMPILERS)} is installed")
+    parameters = defaults(effect.parameters, torch.float32)
+    made, refused = {}, {}
+    for name, rung in effect.rungs.items():
+        prepared = rung.prepare(parameters, inputs)
+        eager = rung.render(parameters, prepared)
+        compiled = torch.compile(rung.render)
+        try:
+            drawn = compiled(parameters, prepared)
+        except TorchDynamoException as refusal:
+            refused[name] = str(refusal).splitlines()[0]
+            continue
+        apart = float((drawn - eager).abs().max() / eager.abs().max().clamp(min=torch.finfo(eager.dtype).tiny))
+        if not apart <= SAME:
+            raise ArithmeticError(f"{name} compiled differs from eager by {apart:.1e} of the largest value")
+        made[name] = compiled
+    return made, refused
+
+
+SAME = 1e-4  # of the largest value, between compiled and eager
+
+
+def steps(name: str, effect: Effect, size: Size) -> tuple[list[Step], dict[str, str]]:
+    """Every rung of an effect, cheapest first, and why some of them are not compiled."""
+    on_examples = errors(effect, effect.example_inputs(torch.float64))
+    has_picture = name in effects.PICTURES
+    on_picture = errors(effect, effects.picture_inputs(name, *size.judged)) if has_picture else {}
+    inputs = effects.in_dtype(effects.picture_inputs(name, *size.timed), torch.float32)
+    compiled, refused = compiled_rungs(effect, inputs) if size.is_compiled else ({}, {})
+    timed = times(effect, inputs, size.rounds, compiled)
+    found = [Step(name, rung, on_examples[rung], on_picture.get(rung), timed[rung]) for rung in effect.rungs]
+    return found, refused
+
+
+def table(found: Sequence[Step]) -> str:
+    """Text of the table."""
+
+    def line(step: Step) -> list[str]:
+        picture = step.on_picture
+        times = step.times
+        return [
+            f"{step.effect}: {step.rung}",
+            f"{step.on_examples.largest:.2g}",
+            f"{step.on_examples.median:.2g}",
+            f"{picture.largest:.2g}" if picture else "-",
+            f"{picture.median:.2g}" if picture else "-",
+            *(f"{1e3 * spread.median:.3g}" for spread in (times.prepare, times.render)),
+            str(times.ratio),
+            f"{times.copies.median:.3g}",
+            str(times.compiled_speed or "-"),
+        ]
+
+    head = ["rung", "largest error", "median", "on picture", "median", "prepare ms", "render ms", "to cheapest"]
+    return records.table([*head, "render to copy", "eager to compiled"], [line(step) for step in found])
+
+
+@torch.no_grad()
+def main(arguments: Sequence[str] | None = None) -> None:
+    """Print the table, and write it as JSON and as a picture."""
+    given = effects.ask("error of every rung against its time", arguments)
+    size, before = SMALL if given.is_small else Size(), torch.get_num_threads()
+    torch.set_num_threads(1)  # on two, other processes of a shared machine decide
+    found: list[Step] = []
+    refused = {}
+    for name, effect in given.effects.items():
+        those, refused[name] = steps(name, effect, size)
+        found += those
+    torch.set_num_threads(before)
+    print(table(found))
+    written = given.out / "error_versus_time.json"
+    content = {"size": asdict(size), "records": [asdict(step) for step in found], "not_compiled": refused}
+    records.write(written, content, threads=1)
+    plots.error_versus_time(written)
+
+
+if __name__ == "__main__":
+    main()
