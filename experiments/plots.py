@@ -119,3 +119,27 @@ def error_versus_time(path: Path) -> None:
     axes.grid(alpha=0.3)
     axes.legend(fontsize="small")
     figure.savefig(path.with_suffix(".png"), dpi=120)
+
+
+def stability(path: Path) -> None:
+    """How far float32 is from float64: median, 99.9 % and largest of each kind of number of each rung."""
+    content = json.loads(path.read_text(encoding="utf-8"))
+    rows = [(rung, one) for rung in content["records"] for one in rung["followed"]]
+    places = range(len(rows))
+    figure = Figure(figsize=(9.0, 1.5 + 0.25 * len(rows)), layout="constrained")
+    axes = figure.subplots()
+    for name, marker in (("median", "|"), ("most", "o"), ("largest", "x")):
+        # What is exactly right stands at the left border.
+        errors = [max(one[name], 1e-9) for _, one in rows]
+        axes.plot(errors, list(places), marker, label={"most": "99.9 % are nearer"}.get(name, name))
+    axes.axvline(content["allowed"], color="red", linestyle=":", label="allowed for 99.9 %")
+    axes.axvline(2.0**-24, color="0.7", label="rounding of float32")
+    axes.set(
+        yticks=list(places),
+        yticklabels=[f"{rung['effect']}: {rung['rung']}, {one['of']}" for rung, one in rows],
+        xscale="log",
+        xlabel="relative error of float32 against float64",
+    )
+    axes.invert_yaxis()
+    figure.legend(loc="outside upper center", ncols=5, fontsize="small")
+    figure.savefig(path.with_suffix(".png"), dpi=120)
