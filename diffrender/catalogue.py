@@ -1,6 +1,6 @@
 """All effects by name, in drawing order: the only file that knows them all."""
 
-from diffrender.atmosphere import celestial, sky
+from diffrender.atmosphere import celestial, height_fog, sky
 from diffrender.effect import Effect
 
-EFFECTS: dict[str, Effect] = {"sky": sky.EFFECT, "sun disc": celestial.EFFECT}
+EFFECTS: dict[str, Effect] = {"sky": sky.EFFECT, "sun disc": celestial.EFFECT, "height fog": height_fog.EFFECT}

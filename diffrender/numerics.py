@@ -23,6 +23,23 @@ def mean_decay(depth: Float[Tensor, "*batch"]) -> Float[Tensor, "*batch"]:
     return torch.where(small, series, (1.0 - torch.exp(-far)) / far)
 
 
+def opacity(depth: Float[Tensor, "*batch"]) -> Float[Tensor, "*batch"]:
+    """Share of light that an optical depth from 0 up takes out of a ray: 1 - exp(-depth), in [0, 1].
+
+    Keeps its digits in thin fog, value and gradient, where the difference rounds to 0 and torch.compile's expm1 to
+    noise.
+
+    >>> opacity(torch.tensor([0.0, 1e-9, 100.0]))
+    tensor([0.0000e+00, 1.0000e-09, 1.0000e+00])
+    """
+    near = torch.clamp(depth, max=0.25)
+    series = torch.ones_like(near)
+    for order in range(11, 1, -1):
+        series = 1.0 - near / order * series
+    # The difference has no pole to hide from the unused branch, and shares its exp() with the transmittance.
+    return torch.where(depth < 0.25, near * series, 1.0 - torch.exp(-depth))
+
+
 def safe_sqrt(square: Float[Tensor, "*batch"]) -> Float[Tensor, "*batch"]:
     """Square root of what rounding may have taken below 0: 0 there, with gradient 0 at and below 0.
 

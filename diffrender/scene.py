@@ -16,6 +16,7 @@ from torch import Tensor
 
 from diffrender.atmosphere import scattering
 from diffrender.atmosphere.celestial import Sun, SunView, pre_exposed, to_sun
+from diffrender.atmosphere.height_fog import HeightFog
 from diffrender.atmosphere.sky import Sky, SkyView, medium, overcast_share
 from diffrender.catalogue import EFFECTS
 from diffrender.effect import Render
@@ -39,6 +40,7 @@ class Scene:
     exposure: Exposure
     sun: Sun
     sky: Sky | None
+    height_fog: HeightFog | None = None  # of the ground, which whole-sky pictures do not show
 
 
 # Prefix of its names in weather files -> record, in drawing order.

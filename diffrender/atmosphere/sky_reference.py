@@ -183,7 +183,7 @@ def _weights(air: Medium, ray: Nodes, species: Tensor) -> tuple[Tensor, Tensor]:
     extinction = species @ air.extinction()
     count = ray.length.shape[-1]
     half = (ray.length / gauss_legendre(count)[1])[..., None]
-    within = torch.einsum("ij,...jc->...ic", _running_weights(count), extinction) * half
+    within = torch.einsum("ij,...jc->...ic", running_weights(count), extinction) * half
     panel = (extinction * ray.length[..., None]).sum(-2)
     before = torch.cumsum(panel, -2) - panel
     return torch.exp(-before[..., None, :] - within) * ray.length[..., None], torch.exp(-panel.sum(-2))
@@ -197,7 +197,7 @@ def gauss_legendre(count: int) -> tuple[Float[Tensor, " n"], Float[Tensor, " n"]
     return place, 2.0 * vectors[0].square()
 
 
-def _running_weights(count: int) -> Float[Tensor, "n n"]:
+def running_weights(count: int) -> Float[Tensor, "n n"]:
     """Weights of the integral from -1 to each place of the rule, exact up to the power count - 1."""
     place, _ = gauss_legendre(count)
     power = torch.arange(count)
