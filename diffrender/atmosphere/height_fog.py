@@ -24,7 +24,7 @@ from torch import Tensor
 from diffrender.atmosphere import height_fog_reference, scattering
 from diffrender.atmosphere.scattering import PLANET_RADIUS
 from diffrender.effect import Effect, Rung
-from diffrender.numerics import mean_decay, opacity, safe_sqrt
+from diffrender.numerics import decayed_length, opacity, safe_sqrt
 from diffrender.parameters import parameter, record
 from diffrender.rays import Rays, from_angles
 
@@ -132,9 +132,9 @@ def extinction(fog: HeightFog) -> Float[Tensor, "3"]:
 def optical_depth(fog: HeightFog, rays: Rays) -> Float[Tensor, "*batch 3"]:
     """Optical depth of the fog along rays, by channel; at most 3e38.
 
-    extinction × length × (density at the lower end) × mean_decay(climb / scale height). A level ray is no special
-    case, nor is one to infinity unless it is level, which counts as 10^9 m long. Fog more than 88 scale heights below
-    its base height is as dense as there.
+    extinction × (density at the lower end) × decayed_length(length, steepness / scale height). A level ray is no
+    special case, nor is one to infinity unless it is level, which counts as 10^9 m long. Fog more than 88 scale heights
+    below its base height is as dense as there. In float32 its gradients end where it exceeds 1e25.
     """
     eye, end, path = _profile(fog, rays)
     densest = torch.where(rays.direction[..., 2] < 0.0, end, eye)
@@ -151,7 +151,7 @@ def _profile(fog: HeightFog, rays: Rays) -> tuple[Tensor, Tensor, Tensor]:
     # One sign decides for the slope here and for the density it starts from: abs() and minimum() would each give a
     # nearly level ray a gradient of its own, half or twice the right one.
     steepness = torch.where(up < 0.0, -up, up)
-    path = length * mean_decay(steepness * length / fog.scale_height)
+    path = decayed_length(length, steepness / fog.scale_height)
     return _density(fog, altitude), _density(fog, altitude + up * length), path
 
 
@@ -180,7 +180,7 @@ def sun_share(fog: HeightFog, rays: Rays, mass: Float[Tensor, "*#batch"]) -> Flo
     growth = (1.0 - rays.direction[..., 2] * mass)[..., None]
     shrinks = growth < 0.0
     least = torch.where(shrinks, at_end, at_eye)
-    return depth * torch.exp(-least) * mean_decay(torch.where(shrinks, -growth, growth) * depth)
+    return torch.exp(-least) * decayed_length(depth, torch.where(shrinks, -growth, growth))
 
 
 def flat_air_mass(to_sun: Float[Tensor, "3"]) -> Float[Tensor, ""]:

@@ -19,7 +19,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from diffrender.numerics import mean_decay, safe_sqrt
+from diffrender.numerics import erfcx, mean_decay, safe_sqrt
 from diffrender.parameters import record
 
 PLANET_RADIUS = 6_360e3  # [m], [1]
@@ -124,8 +124,7 @@ def chapman(radius: Float[Tensor, "*batch"], cosine: Float[Tensor, "*batch"]) ->
     # Near the zenith the quotients below are 1/cosine, whatever the floor under the sine.
     sine = torch.sqrt(torch.clamp(1.0 - cosine * cosine, min=1e-6))
     steepness = torch.sqrt(radius / 2.0) * cosine / sine
-    grazing: Tensor = torch.special.erfcx(steepness)
-    return torch.sqrt(math.pi / 2.0 * radius) / sine * grazing
+    return torch.sqrt(math.pi / 2.0 * radius) / sine * erfcx(steepness)
 
 
 # Gauss and Legendre's rule on [-1, 1]: place and weight of each of its four nodes.
