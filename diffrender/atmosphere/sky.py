@@ -12,36 +12,25 @@ differentiated.
 """
 
 import math
-from dataclasses import dataclass
 
 import torch
 from jaxtyping import Float
 from torch import Tensor
 
 from diffrender.atmosphere import multiple_scattering as multiple
-from diffrender.atmosphere import overcast, scattering, sky_reference
+from diffrender.atmosphere import overcast, scattering, sky_reference, sky_tables
 from diffrender.atmosphere.scattering import Medium, Paths
 from diffrender.atmosphere.sky_reference import USUAL, Fineness
+from diffrender.atmosphere.sky_tables import Geometry, Size, SkyTables, TabledView, geometry
+from diffrender.atmosphere.sky_view import SkyView, chord_square, elevation, horizon
 from diffrender.effect import Effect, Rung
-from diffrender.numerics import lookup, safe_sqrt
 from diffrender.parameters import parameter, record
 from diffrender.rays import from_angles
 
-
-@dataclass(frozen=True)
-class Size:
-    """How finely the tables are cut: what a search spends, and what a picture does."""
-
-    rows: int = 24
-    columns: int = 8
-    steps: int = 24
-    heights: int = multiple.HEIGHTS
-    suns: int = multiple.SUNS
-    steps_around: int = multiple.STEPS
-
+__all__ = ["EFFECT", "Geometry", "Size", "Sky", "SkyTables", "SkyView", "TabledView", "geometry", "medium"]
+__all__ += ["overcast_share", "prepare", "quadrature", "render", "render_tables", "tables"]
 
 _MARCH = 48  # steps of a ray
-_ROW_SCALE = 0.05  # share of the way to the zenith over which the rows are dense above the horizon
 _HAZE_ALBEDO = 0.9  # share of the haze's extinction that is scattering, Bruneton and Neyret 2008
 
 
@@ -98,42 +87,6 @@ class Sky:
     )  # fmt: skip
 
 
-@record
-class SkyView:
-    """What is looked at: directions from one eye, and the sun above the air, its irradiance already exposed."""
-
-    direction: Float[Tensor, "*batch 3"]
-    to_sun: Float[Tensor, "3"]
-    irradiance: Float[Tensor, "3"]  # [W/m^2]
-    eye_altitude: Float[Tensor, ""]  # [m]
-
-
-@record
-class Geometry:
-    """Rays of the tables, which depend on the eye and the sun but on no parameter of the sky."""
-
-    rays: Paths  # (rows, columns)
-    around: Paths  # of the table of mean radiance
-    suns: Float[Tensor, "2"]  # over which it reaches
-    cloud_top: overcast.CloudTop
-
-
-@record
-class SkyTables:
-    """Sky per irradiance of the sun [1/sr], before phase functions; what a fit evaluates again and again."""
-
-    in_scatter: Float[Tensor, "rows columns 3 3"]  # by air, by haze, and of higher orders
-    cloud: Float[Tensor, "3"]  # radiance at the zenith of an overcast layer that lets all light through
-
-
-@record
-class TabledView:
-    """A view with its tables."""
-
-    view: SkyView
-    tables: SkyTables
-
-
 def medium(sky: Sky) -> Medium:
     """Coefficients of the shell [1/m] under a sky's parameters."""
     like = sky.haziness
@@ -156,47 +109,9 @@ def _haze_parts(sky: Sky, log_wavelength: Tensor) -> tuple[Tensor, Tensor]:
     return fine, scattering.HAZE * sky.coarse_scale * torch.ones_like(log_wavelength)
 
 
-def geometry(view: SkyView, size: Size = Size()) -> Geometry:
-    """Rays of the tables for an eye and a sun; kept by fits, where neither moves."""
-    like = view.direction
-    cos_sun = view.to_sun[2]
-    rise = _ROW_SCALE * torch.expm1(torch.linspace(0.0, math.log1p(1.0 / _ROW_SCALE), size.rows).to(like))
-    lowest = _horizon(view.eye_altitude)
-    # A thousandth of a degree above the ground's edge, where rays still leave for space.
-    elevation = lowest + 2e-5 + (math.pi / 2.0 - 2e-5 - lowest) * rise
-    cos_view = torch.sin(elevation)[:, None]
-    level = torch.cos(elevation)[:, None] * safe_sqrt(1.0 - cos_sun * cos_sun)
-    cos_angle = cos_view * cos_sun + level * torch.linspace(-1.0, 1.0, size.columns).to(like)
-    ground = torch.zeros_like(cos_view)
-    suns = _suns(view)
-    return Geometry(
-        rays=scattering.paths(view.eye_altitude + ground, cos_view, cos_sun + ground, cos_angle, size.steps),
-        around=multiple.table_paths(suns, size.heights, size.suns, size.steps_around),
-        suns=suns,
-        cloud_top=overcast.cloud_top(cos_sun),
-    )
-
-
 def tables(sky: Sky, fixed: Geometry) -> SkyTables:
     """Tables of a sky: its in-scatter in every direction from the eye, phase functions left out."""
-    air = medium(sky)
-    mean = multiple.mean_radiance(air, fixed.around)
-    light = overcast.sunlight(air, fixed.cloud_top) + overcast.skylight(fixed.cloud_top, mean, fixed.suns)
-    return SkyTables(_in_scatter(air, fixed.rays, mean, fixed.suns), overcast.zenith_radiance(light))
-
-
-def _in_scatter(air: Medium, rays: Paths, mean: Tensor, suns: Tensor) -> Float[Tensor, "*batch 3 3"]:
-    """Light per irradiance [1/sr] scattered by air and by haze, without phase functions, and of higher orders."""
-    weights, _ = scattering.step_weights(air, rays)
-    around = multiple.look_up(mean, suns, rays.height, rays.cos_sun)
-    higher = (weights * (rays.density @ air.scattering()) * around).sum(-2)
-    return torch.stack([*_scattered_once(air, rays, weights), higher], -2)
-
-
-def _scattered_once(air: Medium, rays: Paths, weights: Tensor) -> tuple[Tensor, Tensor]:
-    direct = weights * scattering.transmittance(air, rays.sun_column) * rays.sunlit
-    by_haze = (direct * rays.density[..., 1:2]).sum(-2) * air.haze_scattering
-    return (direct * rays.density[..., :1]).sum(-2) * air.rayleigh, by_haze
+    return sky_tables.tables(medium(sky), fixed)
 
 
 def prepare(sky: Sky, view: SkyView) -> TabledView:
@@ -210,15 +125,7 @@ def render_tables(sky: Sky, prepared: TabledView) -> Float[Tensor, "*batch 3"]:
     Black below the ground's edge. Within 2 % of `render` for a sun above 10 degrees and 3 % at 1; after sunset by 4 %
     in the mean, and by up to a third along the edge of the earth's shadow, which eight columns do not draw.
     """
-    view = prepared.view
-    lowest = _horizon(view.eye_altitude)
-    above = (_elevation(view.direction) - lowest) / (math.pi / 2.0 - lowest)
-    rows, columns = prepared.tables.in_scatter.shape[:2]
-    # Half the smallest step below the horizon, so that the logarithm stays finite where the picture is black.
-    row = torch.log1p(torch.clamp(above, min=-0.02) / _ROW_SCALE) / math.log1p(1.0 / _ROW_SCALE) * (rows - 1)
-    column = (0.5 + 0.5 * _cos_azimuth(view)) * (columns - 1)
-    found = lookup(prepared.tables.in_scatter, row, column)
-    return _compose(sky, view, found, prepared.tables.cloud)
+    return _compose(sky, prepared.view, sky_tables.look_up(prepared), prepared.tables.cloud)
 
 
 def render(sky: Sky, marched: "MarchedView") -> Float[Tensor, "*batch 3"]:
@@ -227,15 +134,15 @@ def render(sky: Sky, marched: "MarchedView") -> Float[Tensor, "*batch 3"]:
     Black below the ground's edge.
     """
     view = marched.view
-    rays = _rays(view, _MARCH)
-    return _compose(sky, view, _in_scatter(medium(sky), rays, marched.mean, _suns(view)), marched.cloud)
+    found = sky_tables.in_scatter(medium(sky), _rays(view, _MARCH), marched.mean, sky_tables.suns(view))
+    return _compose(sky, view, found, marched.cloud)
 
 
 def render_single(sky: Sky, view: SkyView) -> Float[Tensor, "*batch 3"]:
     """The same with light scattered once only: too dark and too blue, by half at low sun."""
     air, rays = medium(sky), _rays(view, _MARCH)
     weights, _ = scattering.step_weights(air, rays)
-    once = _scattered_once(air, rays, weights)
+    once = sky_tables.scattered_once(air, rays, weights)
     cloud = overcast.zenith_radiance(overcast.sunlight(air, overcast.cloud_top(view.to_sun[2])))
     return _compose(sky, view, torch.stack([*once, torch.zeros_like(once[0])], -2), cloud)
 
@@ -251,15 +158,11 @@ class MarchedView:
 
 def prepare_march(sky: Sky, view: SkyView) -> MarchedView:
     """Table of higher orders, from which rays are marched."""
-    air, suns = medium(sky), _suns(view)
+    air, suns = medium(sky), sky_tables.suns(view)
     mean = multiple.mean_radiance(air, multiple.table_paths(suns))
     top = overcast.cloud_top(view.to_sun[2])
     light = overcast.sunlight(air, top) + overcast.skylight(top, mean, suns)
     return MarchedView(view, mean, overcast.zenith_radiance(light))
-
-
-def _suns(view: SkyView) -> Float[Tensor, "2"]:
-    return multiple.sun_range(view.to_sun[2], view.eye_altitude)
 
 
 def skip(sky: Sky, view: SkyView) -> Float[Tensor, "*batch 3"]:
@@ -269,7 +172,7 @@ def skip(sky: Sky, view: SkyView) -> Float[Tensor, "*batch 3"]:
 
 def _rays(view: SkyView, steps: int) -> Paths:
     flat = torch.zeros_like(view.direction[..., 2])
-    cos_angle = 1.0 - 0.5 * _chord_square(view)
+    cos_angle = 1.0 - 0.5 * chord_square(view)
     return scattering.paths(view.eye_altitude + flat, view.direction[..., 2], view.to_sun[2] + flat, cos_angle, steps)
 
 
@@ -279,19 +182,19 @@ def _compose(sky: Sky, view: SkyView, found: Tensor, cloud: Tensor) -> Float[Ten
     clear = by_air * air_phase + by_haze * haze_phase + higher
     clouded = cloud * sky.overcast_transmittance * overcast.gradation(view.direction)
     share = overcast_share(sky, view.direction)[..., None]
-    seen = (_elevation(view.direction) >= _horizon(view.eye_altitude))[..., None]
+    seen = (elevation(view.direction) >= horizon(view.eye_altitude))[..., None]
     return torch.lerp(clear, clouded, share) * view.irradiance * seen
 
 
 def _phases(sky: Sky, view: SkyView) -> tuple[Tensor, Tensor]:
     """Phase functions of air and of haze, fine and coarse mixed, between the sun and each direction [1/sr]."""
-    chord_square = _chord_square(view)
+    chord = chord_square(view)
     ratio = torch.log(sky.haziness.new_tensor(scattering.WAVELENGTH) / scattering.WAVELENGTH[1])
     fine, coarse = _haze_parts(sky, ratio)
-    fine_phase = scattering.cornette_shanks(chord_square, sky.haziness)
-    coarse_phase = scattering.cornette_shanks(chord_square, sky.coarse_haziness)
+    fine_phase = scattering.cornette_shanks(chord, sky.haziness)
+    coarse_phase = scattering.cornette_shanks(chord, sky.coarse_haziness)
     haze_phase = torch.lerp(fine_phase[..., None], coarse_phase[..., None], coarse / (fine + coarse))
-    return scattering.rayleigh_phase(chord_square)[..., None], haze_phase
+    return scattering.rayleigh_phase(chord)[..., None], haze_phase
 
 
 def overcast_share(sky: Sky, direction: Float[Tensor, "*batch 3"]) -> Float[Tensor, "*batch"]:
@@ -301,27 +204,6 @@ def overcast_share(sky: Sky, direction: Float[Tensor, "*batch 3"]) -> Float[Tens
     lean = torch.sqrt(1.0 + sky.overcast_ahead * sky.overcast_ahead + sky.overcast_left * sky.overcast_left) - 1.0
     odds = torch.exp(sky.overcast_ahead * direction[..., 0] + sky.overcast_left * direction[..., 1] - lean)
     return sky.overcast * odds / (1.0 - sky.overcast + sky.overcast * odds)
-
-
-def _chord_square(view: SkyView) -> Tensor:
-    return (view.direction - view.to_sun).square().sum(-1)
-
-
-def _elevation(direction: Tensor) -> Tensor:
-    return torch.atan2(direction[..., 2], safe_sqrt(direction[..., :2].square().sum(-1)))
-
-
-def _horizon(eye_altitude: Tensor) -> Tensor:
-    """Elevation of the ground's edge [rad]: 0 for an eye on the ground, negative above."""
-    return torch.asin(scattering.horizon_cosine(eye_altitude))
-
-
-def _cos_azimuth(view: SkyView) -> Tensor:
-    """Cosine of the azimuth between view and sun; 0 at the zenith, where all azimuths look the same."""
-    across = (view.direction[..., :2] * view.to_sun[:2]).sum(-1)
-    square = view.direction[..., :2].square().sum(-1) * view.to_sun[:2].square().sum(-1)
-    apart = square > 1e-12
-    return torch.where(apart, across / torch.sqrt(torch.where(apart, square, torch.ones_like(square))), across * 0.0)
 
 
 def quadrature(sky: Sky, view: SkyView, fineness: Fineness = USUAL) -> Float[Tensor, "*batch 3"]:
@@ -340,7 +222,7 @@ def largest_change(sky: Sky, view: SkyView) -> Float[Tensor, ""]:
     Higher orders are at most the largest mean radiance round any point; the overcast layer is brightest at the zenith.
     """
     table, (air_phase, haze_phase) = prepare_march(sky, view), _phases(sky, view)
-    sunlit = scattering.sunlit(torch.full_like(view.eye_altitude, scattering.TOP), _suns(view)[1])
+    sunlit = scattering.sunlit(torch.full_like(view.eye_altitude, scattering.TOP), sky_tables.suns(view)[1])
     clear = torch.maximum(air_phase, _HAZE_ALBEDO * haze_phase) * sunlit + table.mean.amax((0, 1))
     share = overcast_share(sky, view.direction)[..., None]
     return (torch.lerp(clear, table.cloud * sky.overcast_transmittance, share) * view.irradiance).amax()
