@@ -24,7 +24,7 @@ EFFECT_FOLDERS = LAYERS[3]
 BETWEEN_EFFECT_FOLDERS = {("clouds", "atmosphere"), ("indirect", "shading"), ("indirect", "geometry")}
 
 PACKAGES = {
-    "diffrender": {"torch", "kornia", "jaxtyping"},
+    "diffrender": {"torch", "kornia", "jaxtyping", "safetensors"},  # the last for its own packaged tables
     "fit": {
         "torch",
         "jaxtyping",

@@ -24,7 +24,7 @@ RUNTIME = [Requirement(line) for line in PROJECT["dependencies"]]
 EXTRAS = {name: [Requirement(line) for line in lines] for name, lines in PROJECT["optional-dependencies"].items()}
 
 # Dependencies that come with a later kind of effect or fit; whoever first imports one takes it off this list.
-AWAITED = {"joblib", "kornia", "safetensors", "scikit-image"}
+AWAITED = {"joblib", "kornia", "scikit-image"}
 # What pvlib takes and gives are pandas' tables, so it brings pandas by contract.
 BROUGHT = {"pandas"}
 # Packages whose module has another name.

@@ -12,17 +12,29 @@ differentiated.
 """
 
 import math
+from dataclasses import replace
 
 import torch
 from jaxtyping import Float
 from torch import Tensor
 
 from diffrender.atmosphere import multiple_scattering as multiple
-from diffrender.atmosphere import overcast, scattering, sky_reference, sky_tables
+from diffrender.atmosphere import (
+    overcast,
+    scattering,
+    sky_reference,
+    sky_tables,
+    sky_view,
+    stored_tables,
+    sun_axis,
+    two_tables,
+)
 from diffrender.atmosphere.scattering import Medium, Paths
 from diffrender.atmosphere.sky_reference import USUAL, Fineness
 from diffrender.atmosphere.sky_tables import Geometry, Size, SkyTables, TabledView, geometry
 from diffrender.atmosphere.sky_view import SkyView, chord_square, elevation, horizon
+from diffrender.atmosphere.stored_tables import Daylight
+from diffrender.atmosphere.two_tables import TwoTabledView
 from diffrender.effect import Effect, Rung
 from diffrender.parameters import parameter, record
 from diffrender.rays import from_angles
@@ -31,6 +43,8 @@ __all__ = ["EFFECT", "Geometry", "Size", "Sky", "SkyTables", "SkyView", "TabledV
 __all__ += ["overcast_share", "prepare", "quadrature", "render", "render_tables", "tables"]
 
 _MARCH = 48  # steps of a ray
+CLEAR, HAZY = 0.01, 10.0  # haze of the two weather types of "stored tables", in units of a clear day's
+STORED_SIZE = Size(rows=16, columns=6, steps=16, heights=5, suns=8, steps_around=5)  # of their tables
 _HAZE_ALBEDO = 0.9  # share of the haze's extinction that is scattering, Bruneton and Neyret 2008
 
 
@@ -114,6 +128,69 @@ def tables(sky: Sky, fixed: Geometry) -> SkyTables:
     return sky_tables.tables(medium(sky), fixed)
 
 
+def daylight(sky: Sky, view: SkyView, fixed: Geometry) -> Daylight:
+    """All that a sky gives a scene under the sun of a view; the overcast layer counts in none of it but `cloud`."""
+    air, made = medium(sky), tables(sky, fixed)
+    around, share = sky_view.upper_half(view)
+    falling = _clear(sky, around, sky_tables.look_up(TabledView(around, made))) * share
+    return Daylight(
+        in_scatter=made.in_scatter,
+        cloud=made.cloud,
+        sunlight=sunlight(sky, view),
+        skylight=falling.sum((0, 1)),
+        amount=torch.stack([air.rayleigh, air.haze_scattering, torch.ones_like(air.rayleigh)]),
+    )
+
+
+def sunlight(sky: Sky, view: SkyView) -> Float[Tensor, "3"]:
+    """Share of the sun's irradiance that reaches the eye through the clear air."""
+    eye, cosine = view.eye_altitude, view.to_sun[2]
+    column = scattering.column(eye, scattering.to_visible_sun(eye, cosine))
+    return scattering.transmittance(medium(sky), column) * scattering.sunlit(eye, cosine)
+
+
+def prepare_two_tables(_sky: Sky, view: SkyView) -> TwoTabledView:
+    """Tables that come with the package, at the elevation of a view's sun."""
+    return TwoTabledView(view, two_tables.at_sun(two_tables.packaged(), view.to_sun))
+
+
+def render_two_tables(sky: Sky, prepared: TwoTabledView) -> Float[Tensor, "*batch 3"]:
+    """Radiance of the sky [W/(m² sr)] in Final Fantasy XV's form: two tables times the phase functions [2].
+
+    Follows `haziness`, `coarse_haziness`, the overcast share, its lean and its transmittance. Its tables are made for
+    given air (the default's, unless they are read from elsewhere), so of `mie_scale`, `mie_colour_exponent` and
+    `coarse_scale` only what they do to the haze's phase function shows, and the other parameters nothing.
+
+    At the defaults the root of the mean square of its relative error against `render` is 4 % for a sun at 60 degrees,
+    6 % at 10, 18 % at 1, and 43 % at -4: of twilight it draws the brightness, but no earth's shadow.
+    """
+    by_air, by_haze = two_tables.look_up(prepared)
+    found = torch.stack([by_air, by_haze, torch.zeros_like(by_air)], -2)
+    return _compose(sky, prepared.view, found, prepared.tables.cloud)
+
+
+def prepare_stored(sky: Sky, view: SkyView) -> TabledView:
+    """Tables between two stored elevations of the sun, and between a clear and a hazy weather.
+
+    Of all that would be stored only the two cells round the sun are made. Every parameter but `mie_scale` enters both
+    weathers; above the haze of the hazy one it has no effect. Within 2 to 4 % of fresh tables in the mean by day, from
+    a tenth to eight times the haze of a clear day, and 5 % after sunset.
+    """
+    index = sun_axis.place(sky_view.elevation(view.to_sun), sun_axis.CELLS)
+    lower = index.detach().floor().clamp(max=sun_axis.CELLS - 2.0)
+    beside = sun_axis.elevations(torch.stack([lower, lower + 1.0]), sun_axis.CELLS)
+    seen = [replace(view, to_sun=to_sun) for to_sun in from_angles(beside, torch.zeros_like(beside))]
+    fixed = [geometry(one, STORED_SIZE) for one in seen]
+
+    def weather(haze: float) -> Daylight:
+        of = replace(sky, mie_scale=torch.full_like(sky.mie_scale, haze))
+        each = [daylight(of, *one) for one in zip(seen, fixed, strict=True)]
+        return stored_tables.between(stored_tables.stored(each), index - lower)
+
+    share = torch.clamp((sky.mie_scale - CLEAR) / (HAZY - CLEAR), 0.0, 1.0)
+    return TabledView(view, stored_tables.blended(weather(CLEAR), weather(HAZY), share).sky())
+
+
 def prepare(sky: Sky, view: SkyView) -> TabledView:
     """Tables for one eye and sun, from which any number of pictures is drawn."""
     return TabledView(view, tables(sky, geometry(view)))
@@ -177,16 +254,21 @@ def _rays(view: SkyView, steps: int) -> Paths:
 
 
 def _compose(sky: Sky, view: SkyView, found: Tensor, cloud: Tensor) -> Float[Tensor, "*batch 3"]:
-    by_air, by_haze, higher = found.unbind(-2)
-    air_phase, haze_phase = _phases(sky, view)
-    clear = by_air * air_phase + by_haze * haze_phase + higher
+    clear = _clear(sky, view, found)
     clouded = cloud * sky.overcast_transmittance * overcast.gradation(view.direction)
     share = overcast_share(sky, view.direction)[..., None]
     seen = (elevation(view.direction) >= horizon(view.eye_altitude))[..., None]
     return torch.lerp(clear, clouded, share) * view.irradiance * seen
 
 
-def _phases(sky: Sky, view: SkyView) -> tuple[Tensor, Tensor]:
+def _clear(sky: Sky, view: SkyView, found: Tensor) -> Float[Tensor, "*batch 3"]:
+    """Radiance of the sky without its overcast layer, per irradiance of the sun [1/sr]."""
+    by_air, by_haze, higher = found.unbind(-2)
+    air_phase, haze_phase = phases(sky, view)
+    return by_air * air_phase + by_haze * haze_phase + higher
+
+
+def phases(sky: Sky, view: SkyView) -> tuple[Float[Tensor, "*batch 1"], Float[Tensor, "*batch 3"]]:
     """Phase functions of air and of haze, fine and coarse mixed, between the sun and each direction [1/sr]."""
     chord = chord_square(view)
     ratio = torch.log(sky.haziness.new_tensor(scattering.WAVELENGTH) / scattering.WAVELENGTH[1])
@@ -221,7 +303,7 @@ def largest_change(sky: Sky, view: SkyView) -> Float[Tensor, ""]:
 
     Higher orders are at most the largest mean radiance round any point; the overcast layer is brightest at the zenith.
     """
-    table, (air_phase, haze_phase) = prepare_march(sky, view), _phases(sky, view)
+    table, (air_phase, haze_phase) = prepare_march(sky, view), phases(sky, view)
     sunlit = scattering.sunlit(torch.full_like(view.eye_altitude, scattering.TOP), sky_tables.suns(view)[1])
     clear = torch.maximum(air_phase, _HAZE_ALBEDO * haze_phase) * sunlit + table.mean.amax((0, 1))
     share = overcast_share(sky, view.direction)[..., None]
@@ -243,6 +325,8 @@ EFFECT = Effect(
     prefix="SKY",
     rungs={
         "skip": Rung(skip),
+        "two tables": Rung(render_two_tables, prepare_two_tables),
+        "stored tables": Rung(render_tables, prepare_stored),
         "tables": Rung(render_tables, prepare),
         "march single": Rung(render_single),
         "march": Rung(render, prepare_march),

@@ -9,8 +9,11 @@ from torch import Tensor
 from diffrender.atmosphere.scattering import horizon_cosine
 from diffrender.numerics import safe_sqrt
 from diffrender.parameters import record
+from diffrender.rays import from_angles
 
 _ROW_SCALE = 0.05  # share of the way to the zenith over which the rows of tables are dense above the horizon
+
+_UP, _ROUND = 32, 12  # directions from the horizon to the zenith, and round half of the sky
 
 
 @record
@@ -60,3 +63,22 @@ def row(view: SkyView, rows: int) -> Float[Tensor, "*batch"]:
     above = (elevation(view.direction) - lowest) / (math.pi / 2.0 - lowest)
     # Half the smallest step below the horizon, so that the logarithm stays finite where the picture is black.
     return torch.log1p(torch.clamp(above, min=-0.02) / _ROW_SCALE) / math.log1p(1.0 / _ROW_SCALE) * (rows - 1)
+
+
+def upper_half(view: SkyView) -> tuple[SkyView, Float[Tensor, "rows columns 1"]]:
+    """Directions all over the sky under a sun as high, and what each adds to light on level ground [sr].
+
+    Half of the sky, on one side of the sun, stands for both. The irradiance is 1; rays are dense at the horizon.
+    """
+    place = (torch.arange(_UP).to(view.direction) + 0.5) / _UP
+    height = (math.pi / 2.0 * place.square())[:, None]
+    around = ((torch.arange(_ROUND).to(place) + 0.5) * (math.pi / _ROUND)).expand(_UP, -1)
+    level = safe_sqrt(view.to_sun[:2].square().sum())
+    seen = SkyView(
+        direction=from_angles(height.expand_as(around), around),
+        to_sun=torch.stack([level, torch.zeros_like(level), view.to_sun[2]]),
+        irradiance=torch.ones_like(view.irradiance),
+        eye_altitude=view.eye_altitude,
+    )
+    solid_angle = 2.0 * math.pi / _ROUND * torch.cos(height) * (math.pi / _UP) * place[:, None]
+    return seen, (solid_angle * torch.sin(height)).expand_as(around)[..., None]

@@ -1,0 +1,77 @@
+"""The sky of Final Fantasy XV: two tables over the heights of sun and view, times phase functions [1].
+
+    Sky = LutR(theta, gamma) phaseR(mu) + LutM(theta, gamma) phaseM(mu, g)
+
+theta is the sun's zenith angle, gamma the view's, mu the cosine of the angle between them, g the haziness. The tables
+are made by least squares from a sky of given air, so that haziness alone acts on it afterwards; how the
+sky differs by azimuth is left to the phase functions, which know nothing of the earth's shadow.
+
+The tables that come with the package are made from the march of the default sky, by the command
+
+    fit tables --out diffrender/atmosphere/two_tables.safetensors
+
+[1] M. Miyamoto, R. Driancourt, "Rendering techniques of Final Fantasy XV", SIGGRAPH 2016.
+"""
+
+from functools import cache
+from importlib.resources import files
+
+import torch
+from jaxtyping import Float
+from safetensors.torch import load
+from torch import Tensor
+
+from diffrender.atmosphere import sky_view, sun_axis
+from diffrender.atmosphere.sky_view import SkyView
+from diffrender.numerics import lookup
+from diffrender.parameters import record
+
+PACKAGED = "two_tables.safetensors"
+ROWS = 24  # of the tables that come with the package
+
+
+@record
+class TwoTables:
+    """Light per irradiance of the sun, over the elevations of the sun (`sun_axis`) and of the view (`sky_view`)."""
+
+    air: Float[Tensor, "suns rows 3"]  # LutR [1]; what is scattered more than once is in it
+    haze: Float[Tensor, "suns rows 3"]  # LutM [1]
+    cloud: Float[Tensor, "suns 3"]  # radiance [1/sr] at the zenith of an overcast layer that lets all light through
+
+
+@record
+class OneSun:
+    """The tables at one elevation of the sun."""
+
+    air: Float[Tensor, "rows 3"]
+    haze: Float[Tensor, "rows 3"]
+    cloud: Float[Tensor, "3"]
+
+
+@record
+class TwoTabledView:
+    """A view with its tables."""
+
+    view: SkyView
+    tables: OneSun
+
+
+@cache
+def packaged() -> TwoTables:
+    """The tables that come with the package, in float32; their eye is at 2 m."""
+    return TwoTables(**load(files(__package__).joinpath(PACKAGED).read_bytes()))
+
+
+def at_sun(tables: TwoTables, to_sun: Float[Tensor, "3"]) -> OneSun:
+    """Tables at an elevation of the sun, in its precision and on its device."""
+    index = sun_axis.place(sky_view.elevation(to_sun), tables.air.shape[0])
+    return OneSun(**{name: sun_axis.between(table.to(to_sun), index) for name, table in vars(tables).items()})
+
+
+def look_up(prepared: TwoTabledView) -> tuple[Float[Tensor, "*batch 3"], Float[Tensor, "*batch 3"]]:
+    """What the phase functions of air and of haze are multiplied by along each view [1]."""
+    row = sky_view.row(prepared.view, prepared.tables.air.shape[0])
+    by_air, by_haze = (
+        lookup(table[:, None], row, torch.zeros_like(row)) for table in (prepared.tables.air, prepared.tables.haze)
+    )
+    return by_air, by_haze
