@@ -88,15 +88,14 @@ def test_a_pixel_is_the_mean_of_its_two_lit_corners(width, height, parity):
 
 
 @pytest.mark.parametrize("parity", PARITIES)
-def test_a_ramp_is_exact_away_from_the_last_column_and_row(parity):
+def test_a_ramp_is_exact_but_for_the_last_column_and_row_which_repeat(parity):
     corners = (lit(32, 18, parity) * torch.tensor([3.0, 5.0])).sum(-1, keepdim=True)
     centres = places(32, 18, torch.zeros(2, dtype=torch.float64))
     wanted = (centres * torch.tensor([3.0, 5.0])).sum(-1)
     drawn = tangram.sample(tangram.pack(corners, parity=parity), centres, width=32, parity=parity)[..., 0]
     assert torch.equal(drawn[:-1, :-1], wanted[:-1, :-1])
-    # There, half a pixel further in.
-    assert torch.equal(drawn[3, -1], wanted[3, -1] - 1.5)
-    assert torch.equal(drawn[-1, 3], wanted[-1, 3] - 2.5)
+    assert torch.equal(drawn[:, -1], drawn[:, -2])
+    assert torch.equal(drawn[-1], drawn[-2])
 
 
 @pytest.mark.parametrize("parity", PARITIES)

@@ -123,12 +123,13 @@ def sample(
     """Bilinear sample of a texture at places of the picture, x and y in pixels from its upper left corner.
 
     At a pixel's centre one of u and v is whole and the other half-way, so that one tap is the mean of the two lit
-    corners of the pixel: a linear ramp is exact. Places are held within the corners that there are, up to width - 1
-    and height - 1, so the last column and row are drawn half a pixel off.
+    corners of the pixel: a linear ramp is exact. Places are held within the centres of pixels whose corners there are:
+    the last column and row, which lack some, repeat the last but one. Between centres less than a pixel from the upper
+    or lower border, up to a quarter of the value wraps in from the other one.
     """
     height = texture.shape[-2]
-    furthest = place.new_tensor([width - 1.0, height - 1.0])
-    inside = torch.minimum(place.clamp(min=0.0), furthest)
+    furthest = place.new_tensor([width - 1.5, height - 1.5])
+    inside = torch.minimum(place.clamp(min=0.5), furthest)
     return bilinear(texture, texels(inside, parity), wrapped)
 
 
