@@ -36,6 +36,13 @@ class Frames:
     motion: Float[Tensor, "*batch motion_height motion_width 2"] | None
     depth: Float[Tensor, "*batch motion_height motion_width"] | None
 
+    def in_order(self) -> "list[Frames]":
+        """The frames one by one, of records whose colour has the axes (..., time, height, width, 3)."""
+        count = self.colour.shape[-4]
+        motion = [None] * count if self.motion is None else self.motion.unbind(-4)
+        depth = [None] * count if self.depth is None else self.depth.unbind(-3)
+        return [Frames(*frame) for frame in zip(self.colour.unbind(-4), motion, depth, strict=True)]
+
 
 def clamped(index: Int[Tensor, "*batch"], size: int) -> Int[Tensor, "*batch"]:
     """Index of the nearest entry: beyond the borders, what lies at them."""
@@ -137,7 +144,7 @@ def bilinear(
         index = address(row + down, height) * width + address(column + across, width)
         index = index.expand(*picture.shape[:-3], *index.shape[-2:])
         every_channel = index.flatten(-2)[..., None].expand(*picture.shape[:-3], -1, channels)
-        return flat.gather(-2, every_channel).unflatten(-2, index.shape[-2:])
+        return flat.gather(-2, every_channel).reshape(*index.shape, channels)
 
     across, down = share[..., 0, None], share[..., 1, None]
     upper = torch.lerp(pixel(0, 0), pixel(0, 1), across)

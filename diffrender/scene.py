@@ -14,6 +14,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from diffrender.antialiasing.settings import AntiAliasing
 from diffrender.atmosphere import scattering
 from diffrender.atmosphere.celestial import Sun, SunView, pre_exposed, to_sun
 from diffrender.atmosphere.height_fog import HeightFog
@@ -41,9 +42,10 @@ class Scene:
     sun: Sun
     sky: Sky | None
     height_fog: HeightFog | None = None  # of the ground, which whole-sky pictures do not show
+    antialiasing: AntiAliasing | None = None
 
 
-# Prefix of its names in weather files -> record, in drawing order.
+# Prefix of its names in weather files -> record, in drawing order; effects that share a record share its prefix.
 RECORDS: dict[str, type[Any]] = {"": Exposure} | {e.prefix: e.parameters for e in EFFECTS.values()}
 
 

@@ -200,9 +200,9 @@ def test_a_batch_equals_its_elements_one_by_one(effect, rung):
 @pytest.mark.parametrize("effect", EFFECTS)
 def test_last_rung_is_the_render_of_its_module(effect):
     rung = EFFECTS[effect].rungs[last(effect)]
-    assert sys.modules[EFFECTS[effect].parameters.__module__].render in (rung, rung.render)
+    assert sys.modules[rung.render.__module__].render in (rung, rung.render)
 
 
-def test_prefixes_are_unique():
-    prefixes = [effect.prefix for effect in EFFECTS.values()]
-    assert sorted(set(prefixes)) == sorted(prefixes)
+def test_a_prefix_is_of_one_record_and_a_record_of_one_prefix():
+    pairs = {(effect.prefix, effect.parameters) for effect in EFFECTS.values()}
+    assert len(pairs) == len({prefix for prefix, _ in pairs}) == len({kind for _, kind in pairs})

@@ -60,6 +60,14 @@ def unpack(texture: Float[Tensor, "*batch height height channels"], *, width: in
     return texture[(..., *_texel_of_corner(column, row, height, parity), slice(None))]
 
 
+def lit(
+    grid: Float[Tensor, "*batch height width channels"], *, parity: int
+) -> Float[Tensor, "*batch height half channels"]:
+    """Lit corners, row by row, of a grid of all of them, width even."""
+    row = torch.arange(grid.shape[-3], device=grid.device)[:, None]
+    return grid[..., row, 2 * torch.arange(grid.shape[-2] // 2, device=grid.device) + (row + parity) % 2, :]
+
+
 def pack_all(grid: Float[Tensor, "*batch rows columns channels"], *, parity: int) -> Float[Tensor, "..."]:
     """Texture (*batch, rows, rows, channels) of all lit corners of a grid of any size up to two by one.
 
