@@ -15,10 +15,10 @@ from jaxtyping import Float
 from torch import Tensor
 
 from diffrender.antialiasing.settings import AntiAliasing
-from diffrender.atmosphere import scattering
+from diffrender.atmosphere import sky
 from diffrender.atmosphere.celestial import Sun, SunView, pre_exposed, to_sun
 from diffrender.atmosphere.height_fog import HeightFog
-from diffrender.atmosphere.sky import Sky, SkyView, medium, overcast_share
+from diffrender.atmosphere.sky import Sky, SkyView
 from diffrender.catalogue import EFFECTS
 from diffrender.effect import Render
 from diffrender.parameters import Specification, names, parameter, record, specifications
@@ -100,11 +100,8 @@ def sunlight(scene: Scene) -> Float[Tensor, "3"]:
     if scene.sky is None:
         return torch.ones_like(scene.sun.irradiance)
     towards = to_sun(scene.sun)
-    view = sky_view(scene, towards)
-    through = scattering.column(view.eye_altitude, scattering.to_visible_sun(view.eye_altitude, towards[2]))
-    clear = 1.0 - overcast_share(scene.sky, towards)
-    sunlit = scattering.sunlit(view.eye_altitude, towards[2])
-    return scattering.transmittance(medium(scene.sky), through) * clear * sunlit
+    clear = 1.0 - sky.overcast_share(scene.sky, towards)
+    return sky.sunlight(scene.sky, sky_view(scene, towards)) * clear
 
 
 def finest() -> dict[str, Render]:

@@ -123,10 +123,16 @@ def render(
     projection: Projection = None,
     fov: FieldOfView = None,
     pitch: Pitch = 0.0,
+    tables: Annotated[
+        list[Path] | None,
+        typer.Option(metavar="FILE", help="Draw from these of `fit tables`; a second one is blended in."),
+    ] = None,
+    blend: Annotated[float | None, typer.Option(min=0, max=1, help="Share of the second of two --tables.")] = None,
 ) -> None:
     """Draw the sky of a weather file at an hour, and the sun's disc as a second part."""
     from fit import keyframes, options, picture, weather_file
     from fit import sun as sun_place
+    from fit import tables as stored
 
     _use_threads()
     camera = options.camera(size, projection, fov, pitch)
@@ -136,7 +142,34 @@ def render(
     if place is not None:
         values |= {"SUN_ELEVATION": place.elevation, "SUN_AZIMUTH": place.azimuth}
     scene = options.with_sky(keyframes.scene(values), weather)
-    picture.write(out, picture.draw(scene, camera), {"weather": weather.name, "hour": hour})
+    light = stored.light(scene, tables or [], blend)
+    picture.write(out, picture.draw(scene, camera, light), {"weather": weather.name, "hour": hour})
+
+
+@app.command()
+def tables(
+    out: Annotated[Path, typer.Option(help="File to write, such as sky.safetensors.")],
+    photos: Annotated[list[Path] | None, typer.Argument(help="HDR photos to fit; else a sky is marched.")] = None,
+    mask_folder: Annotated[
+        Path | None, typer.Option(help="Of PNGs named as the photos, white where sky is; else it is found.")
+    ] = None,
+    weather: Annotated[Path | None, typer.Option(help="File of the marched sky; else the default one.")] = None,
+    hour: Annotated[float, typer.Option(min=0, max=24, help="Of the day in the weather file.")] = 12.0,
+    form: Annotated[
+        str, typer.Option(help="two-tables (FFXV) or in-scatter (Decima); photos: two-tables.")
+    ] = "two-tables",
+    quiet: Annotated[bool, typer.Option("--quiet", help="Print nothing but errors.")] = False,
+) -> None:
+    """Make tables of the sky over the sun's elevation, from which `fit render --tables` draws."""
+    with _progress("making tables", quiet):
+        from fit import stored_sky
+        from fit import tables as files
+
+        _use_threads()
+        made = stored_sky.made(stored_sky.Asked(form, tuple(photos or ()), mask_folder, weather, hour))
+        files.save(out, made.tables, made.origin)
+    if not quiet:
+        _say(f"{made.summary}\nwritten to {out}")
 
 
 def _shot(latitude: float | None, longitude: float | None, time: str | None, heading: float | None) -> "Shot":

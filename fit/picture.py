@@ -1,17 +1,19 @@
 """A scene drawn as a whole picture, band by band: what `fit render` writes and a fit's `fitted.exr` holds."""
 
 import math
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 import torch
 from jaxtyping import Float
+from torch import Tensor
 
 from diffrender.atmosphere import celestial, scattering, sky
+from diffrender.atmosphere.sky import Sky, SkyView
 from diffrender.rays import Camera, pixel_centres
-from diffrender.scene import Scene, render, sky_view
+from diffrender.scene import Scene, render, sky_view, sunlight
 from fit import exr
 
 PIXELS_AT_ONCE = 1 << 17  # so many keep their intermediate results in a few dozen MB
@@ -26,13 +28,39 @@ class Picture:
     disc: Float[np.ndarray, "height width 3"]
 
 
-def draw(scene: Scene, camera: Camera) -> Picture:
-    """Picture of a scene in float32."""
+@dataclass(frozen=True, eq=False)
+class Light:
+    """What a picture's sky and sun are drawn from.
+
+    Attributes:
+        paint: radiance of the sky of a view.
+        sunlight: share of the sun's light that reaches the eye through air and clouds.
+    """
+
+    paint: Callable[[SkyView], Tensor]
+    sunlight: Float[Tensor, "3"]
+
+
+def fresh(scene: Scene) -> Light:
+    """Light from tables made for the scene."""
+    of, view = scene_sky(scene), sky_view(scene, torch.zeros(1, 3))
+    tables = sky.prepare(of, view).tables
+    return Light(lambda seen: sky.render_tables(of, sky.TabledView(seen, tables)), sunlight(scene))
+
+
+def scene_sky(scene: Scene) -> Sky:
+    """Sky of a scene; weather files without one are refused before."""
+    assert scene.sky is not None
+    return scene.sky
+
+
+def draw(scene: Scene, camera: Camera, light: Light | None = None) -> Picture:
+    """Picture of a scene in float32, from fresh tables or from those given."""
+    light = light or fresh(scene)
     picture = Picture(*(np.zeros((camera.height, camera.width, 3), np.float32) for _ in range(2)))
-    assert scene.sky is not None  # weather files without a sky are refused before
-    tables = sky.prepare(scene.sky, sky_view(scene, torch.zeros(1, 3))).tables
-    by_tables = {"sky": lambda parameters, view: sky.render_tables(parameters, sky.TabledView(view, tables))}
     to_sun = celestial.to_sun(scene.sun)
+    sky_alone = {"sky": lambda _, view: light.paint(view)}
+    disc_alone = {"sun disc": lambda sun, view: celestial.render(sun, replace(view, transmittance=light.sunlight))}
     lines = max(1, PIXELS_AT_ONCE // camera.width)
     for top in range(0, camera.height, lines):
         rows = slice(top, min(top + lines, camera.height))
@@ -40,9 +68,9 @@ def draw(scene: Scene, camera: Camera) -> Picture:
         direction = camera.direction(x, y)
         # Half of a panorama is ground, and the disc is a few pixels: they are black, and not worth a formula.
         above = (camera.solid_angle(x, y) > 0.0) & (direction[..., 2] > BELOW_HORIZON)
-        picture.sky[rows][above.numpy()] = render(scene, direction[above], by_tables).numpy()
+        picture.sky[rows][above.numpy()] = render(scene, direction[above], sky_alone).numpy()
         near = above & (direction @ to_sun > math.cos(2.0 * scattering.SUN_RADIUS))
-        picture.disc[rows][near.numpy()] = render(scene, direction[near], {"sun disc": celestial.render}).numpy()
+        picture.disc[rows][near.numpy()] = render(scene, direction[near], disc_alone).numpy()
     return picture
 
 

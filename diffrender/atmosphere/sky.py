@@ -44,7 +44,7 @@ __all__ += ["overcast_share", "prepare", "quadrature", "render", "render_tables"
 
 _MARCH = 48  # steps of a ray
 CLEAR, HAZY = 0.01, 10.0  # haze of the two weather types of "stored tables", in units of a clear day's
-STORED_SIZE = Size(rows=16, columns=6, steps=16, heights=5, suns=8, steps_around=5)  # of their tables
+STORED_SIZE = Size(rows=16, columns=6, steps=12, heights=5, suns=8, steps_around=5)  # of their tables
 _HAZE_ALBEDO = 0.9  # share of the haze's extinction that is scattering, Bruneton and Neyret 2008
 
 
@@ -130,7 +130,7 @@ def tables(sky: Sky, fixed: Geometry) -> SkyTables:
 
 def daylight(sky: Sky, view: SkyView, fixed: Geometry) -> Daylight:
     """All that a sky gives a scene under the sun of a view; the overcast layer counts in none of it but `cloud`."""
-    air, made = medium(sky), tables(sky, fixed)
+    made = tables(sky, fixed)
     around, share = sky_view.upper_half(view)
     falling = _clear(sky, around, sky_tables.look_up(TabledView(around, made))) * share
     return Daylight(
@@ -138,7 +138,7 @@ def daylight(sky: Sky, view: SkyView, fixed: Geometry) -> Daylight:
         cloud=made.cloud,
         sunlight=sunlight(sky, view),
         skylight=falling.sum((0, 1)),
-        amount=torch.stack([air.rayleigh, air.haze_scattering, torch.ones_like(air.rayleigh)]),
+        amount=stored_tables.amount(medium(sky)),
     )
 
 
@@ -179,16 +179,15 @@ def prepare_stored(sky: Sky, view: SkyView) -> TabledView:
     index = sun_axis.place(sky_view.elevation(view.to_sun), sun_axis.CELLS)
     lower = index.detach().floor().clamp(max=sun_axis.CELLS - 2.0)
     beside = sun_axis.elevations(torch.stack([lower, lower + 1.0]), sun_axis.CELLS)
-    seen = [replace(view, to_sun=to_sun) for to_sun in from_angles(beside, torch.zeros_like(beside))]
-    fixed = [geometry(one, STORED_SIZE) for one in seen]
-
-    def weather(haze: float) -> Daylight:
-        of = replace(sky, mie_scale=torch.full_like(sky.mie_scale, haze))
-        each = [daylight(of, *one) for one in zip(seen, fixed, strict=True)]
-        return stored_tables.between(stored_tables.stored(each), index - lower)
-
+    suns = from_angles(beside, torch.zeros_like(beside))
+    fixed = [geometry(replace(view, to_sun=to_sun), STORED_SIZE) for to_sun in suns]
+    weathers = [replace(sky, mie_scale=torch.full_like(sky.mie_scale, haze)) for haze in (CLEAR, HAZY)]
+    clear, hazy = (
+        stored_tables.sky_between(tables(one, fixed[0]), tables(one, fixed[1]), index - lower) for one in weathers
+    )
+    amounts = torch.stack([stored_tables.amount(medium(one)) for one in weathers])
     share = torch.clamp((sky.mie_scale - CLEAR) / (HAZY - CLEAR), 0.0, 1.0)
-    return TabledView(view, stored_tables.blended(weather(CLEAR), weather(HAZY), share).sky())
+    return TabledView(view, stored_tables.sky_blended(clear, hazy, amounts, share))
 
 
 def prepare(sky: Sky, view: SkyView) -> TabledView:

@@ -13,6 +13,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from diffrender.atmosphere import sky_view, sun_axis
+from diffrender.atmosphere.scattering import Medium
 from diffrender.atmosphere.sky_tables import SkyTables
 from diffrender.parameters import record
 
@@ -25,7 +26,7 @@ class Daylight:
     cloud: Float[Tensor, "3"]  # as in SkyTables
     sunlight: Float[Tensor, "3"]  # share of the sun's irradiance that reaches the eye through the air
     skylight: Float[Tensor, "3"]  # irradiance of level ground by the clear sky, over the sun's
-    amount: Float[Tensor, "3 3"]  # scattering of air and of haze [1/m], to which in-scatter is proportional, and 1
+    amount: Float[Tensor, "3 3"]  # of what scatters, as in `amount`
 
     def sky(self) -> SkyTables:
         """Those of the tables that a sky is drawn from."""
@@ -43,6 +44,11 @@ class StoredTables:
     amount: Float[Tensor, "3 3"]
 
 
+def amount(air: Medium) -> Float[Tensor, "3 3"]:
+    """Scattering by air and by haze [1/m], to which their in-scatter is proportional, and 1 for higher orders."""
+    return torch.stack([air.rayleigh, air.haze_scattering, torch.ones_like(air.rayleigh)])
+
+
 def stored(each: Sequence[Daylight]) -> StoredTables:
     """Tables from the daylight of every cell, the lowest sun first."""
     names = ("in_scatter", "cloud", "sunlight", "skylight")
@@ -51,26 +57,41 @@ def stored(each: Sequence[Daylight]) -> StoredTables:
 
 def at_sun(tables: StoredTables, to_sun: Float[Tensor, "3"]) -> Daylight:
     """Daylight under a sun, between that of the two cells round its elevation."""
-    return between(tables, sun_axis.place(sky_view.elevation(to_sun), tables.cloud.shape[0]))
-
-
-def between(tables: StoredTables, index: Float[Tensor, ""]) -> Daylight:
-    """Daylight at a fractional index among the cells."""
+    index = sun_axis.place(sky_view.elevation(to_sun), tables.cloud.shape[0])
     found = {name: sun_axis.between(table, index) for name, table in vars(tables).items() if name != "amount"}
     return Daylight(**found, amount=tables.amount)
 
 
+def between(first: Tensor, second: Tensor, share: Float[Tensor, ""]) -> Tensor:
+    """Values between those of two tables, by their logarithms."""
+    return sun_axis.between(torch.stack([first, second]), share)
+
+
+def sky_between(first: SkyTables, second: SkyTables, share: Float[Tensor, ""]) -> SkyTables:
+    """Tables of the sky between those of two elevations of the sun."""
+    return SkyTables(between(first.in_scatter, second.in_scatter, share), between(first.cloud, second.cloud, share))
+
+
 def blended(first: Daylight, second: Daylight, share: Float[Tensor, ""]) -> Daylight:
-    """Daylight of air that is mixed of two weathers: all of the first at a share of 0, of the second at 1.
+    """Daylight of air that is mixed of two weathers: all of the first at a share of 0, of the second at 1."""
+    sky = sky_blended(first.sky(), second.sky(), torch.stack([first.amount, second.amount]), share)
+    return Daylight(
+        in_scatter=sky.in_scatter,
+        cloud=sky.cloud,
+        sunlight=between(first.sunlight, second.sunlight, share),
+        skylight=between(first.skylight, second.skylight, share),
+        amount=torch.lerp(first.amount, second.amount, share),
+    )
+
+
+def sky_blended(
+    first: SkyTables, second: SkyTables, amounts: Float[Tensor, "2 3 3"], share: Float[Tensor, ""]
+) -> SkyTables:
+    """Tables of the sky for air that is mixed of two weathers, given the amounts of what scatters in each.
 
     What scatters light is mixed; what dims it is a factor for each amount, so that its logarithm is mixed. For haze
     from 0.01 to 10 times a clear day's it is within 4 % in the mean of tables made for the mixture, where a mixture of
     the light itself is off by up to 30 % (`experiments.stored_tables`).
     """
-    amount = torch.lerp(first.amount, second.amount, share)
-    per_amount = torch.stack([one.in_scatter / one.amount for one in (first, second)])
-    others = {
-        name: sun_axis.between(torch.stack([getattr(first, name), getattr(second, name)]), share)
-        for name in ("cloud", "sunlight", "skylight")
-    }
-    return Daylight(in_scatter=sun_axis.between(per_amount, share) * amount, **others, amount=amount)
+    mixed = between(first.in_scatter / amounts[0], second.in_scatter / amounts[1], share)
+    return SkyTables(mixed * torch.lerp(amounts[0], amounts[1], share), between(first.cloud, second.cloud, share))

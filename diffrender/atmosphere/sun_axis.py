@@ -40,5 +40,6 @@ def between(table: Float[Tensor, " cells *shape"], index: Float[Tensor, ""]) -> 
 
     Whole indices give its own entries up to rounding; where both neighbours are 0 it is exactly 0.
     """
-    found: Tensor = lookup(torch.log1p(table / _DARK)[:, None], index, torch.zeros_like(index))
-    return _DARK * torch.expm1(found)
+    # One place, not none: a whole number without an axis cannot be taken from a tensor without numbers.
+    found: Tensor = lookup(torch.log1p(table / _DARK)[:, None], index[None], torch.zeros_like(index)[None])
+    return _DARK * torch.expm1(found[0])
