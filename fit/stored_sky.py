@@ -5,6 +5,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import torch
+from jaxtyping import Float
+from torch import Tensor
 
 from diffrender.atmosphere import sky, stored_tables, sun_axis
 from diffrender.atmosphere.sky import Sky, SkyView
@@ -79,25 +81,29 @@ def _of_photos(asked: Asked) -> Made:
 
 
 def _two(of: Sky, origin: str) -> Made:
-    found = table_fits.from_march(of)
+    elevations = _elevations()
+    found = table_fits.from_march(of, elevations)
     lines = ["relative error of radiance against the march, by the sun's elevation in degrees:"]
     for degrees in TOLD:
-        nearest = (found.sun_elevation - math.radians(degrees)).abs().argmin()
-        lines.append(f"  {math.degrees(found.sun_elevation[nearest]):6.1f}  {float(found.error[nearest]):.3f}")
+        nearest = (elevations - math.radians(degrees)).abs().argmin()
+        lines.append(f"  {math.degrees(elevations[nearest]):6.1f}  {float(found.error[nearest]):.3f}")
     return Made(found.tables, origin, "\n".join(lines))
 
 
 def _in_scatter(of: Sky, origin: str) -> Made:
-    found = stored(of, sky.Size(), sun_axis.CELLS)
+    found = stored(of, _elevations(), sky.Size())
     suns, rows, columns = found.in_scatter.shape[:3]
     return Made(found, origin, f"in-scatter of {rows} x {columns} directions, sunlight and skylight for {suns} suns")
 
 
-def stored(of: Sky, size: sky.Size, cells: int) -> StoredTables:
-    """Decima's tables of a sky for all elevations of the sun."""
-    eye, each = torch.tensor(EYE_ALTITUDE, dtype=torch.float64), []
-    for elevation in sun_axis.elevations(torch.arange(cells, dtype=torch.float64), cells):
-        to_sun = from_angles(elevation, torch.zeros_like(elevation))
-        view = SkyView(to_sun[None], to_sun, torch.ones_like(to_sun), eye)
+def stored(of: Sky, elevations: Float[Tensor, " suns"], size: sky.Size) -> StoredTables:
+    """Decima's tables of a sky for elevations of the sun [rad]."""
+    each = []
+    for to_sun in from_angles(elevations, torch.zeros_like(elevations)):
+        view = SkyView(to_sun[None], to_sun, torch.ones_like(to_sun), to_sun.new_tensor(EYE_ALTITUDE))
         each.append(sky.daylight(of, view, sky.geometry(view, size)))
     return stored_tables.stored(each)
+
+
+def _elevations() -> Float[Tensor, " suns"]:
+    return sun_axis.elevations(torch.arange(sun_axis.CELLS, dtype=torch.float64), sun_axis.CELLS)

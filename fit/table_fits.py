@@ -13,7 +13,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from diffrender.atmosphere import sky, sky_view, sun_axis
+from diffrender.atmosphere import sky, sky_view
 from diffrender.atmosphere.sky import Sky, SkyView
 from diffrender.atmosphere.two_tables import ROWS, TwoTables
 from diffrender.rays import from_angles
@@ -31,23 +31,18 @@ class FittedTables:
 
     Attributes:
         tables: in float64.
-        sun_elevation: of each sun that was fitted, rising [rad].
-        error: for each of them, root of the mean square of the relative difference of radiance.
+        error: for each elevation of the sun, root of the mean square of the relative difference of radiance.
     """
 
     tables: TwoTables
-    sun_elevation: Float[Tensor, " suns"]
     error: Float[Tensor, " suns"]
 
 
-def from_march(of: Sky, cells: int = sun_axis.CELLS) -> FittedTables:
-    """Tables of a sky without its overcast layer, for all elevations of the sun."""
-    elevations = sun_axis.elevations(torch.arange(cells, dtype=torch.float64), cells)
+def from_march(of: Sky, elevations: Float[Tensor, " suns"]) -> FittedTables:
+    """Tables of a sky without its overcast layer, for elevations of the sun [rad]."""
     clear = replace(of, overcast=torch.zeros_like(of.overcast))
     air, haze, cloud, error = zip(*(_one_sun(clear, elevation) for elevation in elevations), strict=True)
-    return FittedTables(
-        TwoTables(torch.stack(air), torch.stack(haze), torch.stack(cloud)), elevations, torch.stack(error)
-    )
+    return FittedTables(TwoTables(torch.stack(air), torch.stack(haze), torch.stack(cloud)), torch.stack(error))
 
 
 def _one_sun(of: Sky, sun_elevation: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:

@@ -87,10 +87,10 @@ def tracked():
 
 @pytest.fixture(scope="module")
 def wheel(tmp_path_factory):
-    """The wheel's files: name -> text; there is no other kind in it."""
+    """The wheel's files: name -> content."""
     (path,) = WheelBuilder(str(ROOT)).build(directory=str(tmp_path_factory.mktemp("wheel")), versions=["standard"])
     with zipfile.ZipFile(path) as archive:
-        return {name: archive.read(name).decode("utf-8") for name in archive.namelist()}
+        return {name: archive.read(name) for name in archive.namelist()}
 
 
 @pytest.mark.parametrize(
@@ -151,15 +151,21 @@ def test_every_import_of_tests_and_experiments_is_a_dependency():
 def test_a_wheel_holds_every_file_of_the_two_packages_and_nothing_else(wheel, tracked):
     packages = {path.relative_to(ROOT).as_posix() for path in tracked if path.relative_to(ROOT).parts[0] in PACKAGES}
     assert {name for name in wheel if ".dist-info/" not in name} == packages
-    assert {"fit/report.html", "diffrender/__init__.py"} <= packages
+    assert {"fit/report.html", "diffrender/__init__.py", "diffrender/atmosphere/two_tables.safetensors"} <= packages
+
+
+def test_packaged_tables_are_small():
+    tables = list((ROOT / "diffrender").rglob("*.safetensors"))
+    assert [path.name for path in tables] == ["two_tables.safetensors"]
+    assert sum(path.stat().st_size for path in tables) < 0.3 * MEGABYTE
 
 
 def test_a_wheel_holds_licence_and_command(wheel):
     information = f"diffrender-{PROJECT['version']}.dist-info"
-    licence = (ROOT / "LICENSE").read_text(encoding="utf-8")
+    licence = (ROOT / "LICENSE").read_bytes()
     assert wheel[f"{information}/licenses/LICENSE"] == licence
-    assert licence.startswith("MIT License\n")
-    assert "fit = fit.__main__:main" in wheel[f"{information}/entry_points.txt"]
+    assert licence.startswith(b"MIT License\n")
+    assert b"fit = fit.__main__:main" in wheel[f"{information}/entry_points.txt"]
 
 
 def test_the_version_is_written_once(tracked):
@@ -180,6 +186,7 @@ def test_no_file_is_larger_than_a_megabyte_but_photos_and_results(tracked):
 
 def test_no_file_names_a_place_on_one_machine(tracked):
     # Pictures are passed over: the header of a photo from elsewhere may name its maker's folder.
-    text = {path: path.read_text(encoding="utf-8") for path in tracked if path.suffix not in {".exr", ".hdr", ".png"}}
+    binary = {".exr", ".hdr", ".png", ".safetensors"}
+    text = {path: path.read_text(encoding="utf-8") for path in tracked if path.suffix not in binary}
     found = {str(path.relative_to(ROOT)): MACHINE_PATH.search(content) for path, content in text.items()}
     assert {name: match[0] for name, match in found.items() if match} == {}
