@@ -1,9 +1,11 @@
 """FFXV's two tables from photos: the packaged ones, corrected by what the skies of photos show.
 
 What is found is a factor on either table, over the heights of sun and view, by linear least squares of relative
-differences. It is smooth, and tends to 1 where no photo speaks, so that a single photo changes but the tables round
-its sun. The factors are not negative. The exposure of a photo is not known: its sky is taken to be as bright, in the
-geometric mean over its pixels, as that of the packaged tables under the same sun; its colours are kept.
+differences, and is not negative. It is smooth, so that a photo also changes what other suns and directions give, and
+the less the farther they are from its own; without photos it would be 1.
+
+The exposure of a photo is not known: its sky is taken to be as bright, in the geometric mean over its pixels, as that
+of the packaged tables under the same sun; its colours are kept.
 """
 
 from collections.abc import Sequence
@@ -28,9 +30,9 @@ from fit.input_error import InputError
 from fit.pixels import averaged, stratified, usable
 
 PIXELS = 2000  # of a photo
-SUNS, ROWS = 22, 8  # of the factors
-SMOOTH = 1e-2  # weight of the square of a factor's step between neighbours, beside the mean over a photo's pixels
-NEAR = 1e-4  # weight of the square of a factor's distance from 1
+SUNS, ROWS = 16, 6  # of the factors
+SMOOTH = 1e-4  # weight of the square of a factor's step between neighbours, beside the mean over a photo's pixels
+NEAR = 1e-6  # weight of the square of a factor's distance from 1
 HAZINESSES = (0.4, 0.5, 0.6, 0.7, 0.76, 0.8, 0.85, 0.9)
 
 
