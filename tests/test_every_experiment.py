@@ -23,6 +23,7 @@ from experiments import (
     peer_time,
     plots,
     shots,
+    stored_tables,
     timing,
 )
 
@@ -361,6 +362,15 @@ def test_the_peer_follows_the_sky(shot, sky):
     constant = log_error.log_error(sky, np.ones((*sky.mask.shape, 3))).error
     assert 0.0 < found.error < 0.1 * constant
     assert found.seconds == pytest.approx(sum(found.seconds_each))
+
+
+@pytest.mark.slow
+def test_stored_tables_are_compared_and_drawn(tmp_path):
+    stored_tables.main(["--size", "small", "--out", str(tmp_path)])
+    content = json.loads((tmp_path / "stored_tables.json").read_text())
+    assert [row["share"] for row in content["blends"]] == list(stored_tables.SHARES)
+    assert all(row["blended"]["largest"] < row["light_blended"]["largest"] for row in content["blends"])
+    assert (tmp_path / "stored_tables.png").stat().st_size > 100
 
 
 def test_plots_are_drawn_from_json_alone(tmp_path):
