@@ -6,7 +6,6 @@ amount of air dims, as the library does, and by the light itself, as a texture u
 """
 
 import argparse
-import math
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -17,18 +16,21 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from diffrender.atmosphere import sky, sky_view, stored_tables, sun_axis
+from diffrender.atmosphere import sky, stored_tables, sun_axis
 from diffrender.atmosphere.sky import EFFECT, Sky, SkyTables, SkyView, TabledView
+from diffrender.atmosphere.stored_tables import StoredTables
 from diffrender.parameters import defaults
 from diffrender.rays import from_angles
 from experiments import records
-from fit import png
+from fit import png, stored_sky
 
 SUNS = (60.0, 30.0, 10.0, 5.0, 1.0, 0.0, -1.0, -4.0, -8.0)  # degrees
 DRAWN = (60.0, 10.0, 1.0, -4.0)
-SHOWN = ("march", "two tables", "stored tables")
+SHOWN = ("march", "two tables", "two weathers")
 WEATHERS = (0.5, 10.0)  # haze of the two that are blended, in units of a clear day's
 SHARES = (0.25, 0.5, 0.75)
+# Of the tables stored for a day.
+SIZES = {"full": sky.Size(), "small": sky.Size(rows=8, columns=3, steps=6, heights=3, suns=4, steps_around=3)}
 WIDTH, HEIGHT, ENLARGED = 200, 60, 2  # of a drawn sky; each pixel is a square
 
 Light = Float[Tensor, "*batch 3"]
@@ -62,25 +64,19 @@ def hazy(amount: float) -> Sky:
     return replace(defaults(Sky, torch.float64), mie_scale=torch.tensor(amount, dtype=torch.float64))
 
 
-def of_sun(sun: float) -> dict[str, Any]:
-    """Errors at one elevation of the sun."""
+def of_sun(sun: float, stored: StoredTables) -> dict[str, Any]:
+    """Errors at one elevation of the sun, of tables stored for a day among others."""
     of, seen = hazy(1.0), view(sun, all_round())
-    pictures = {name: EFFECT.rungs[name](of, seen) for name in ("two tables", "stored tables", "tables", "march")}
+    pictures = {name: EFFECT.rungs[name](of, seen) for name in ("two tables", "two weathers", "tables", "march")}
+    between_suns = sky.render_tables(of, TabledView(seen, stored_tables.at_sun(stored, seen.to_sun).sky()))
     return {
         "sun_elevation": sun,
         "two_tables_to_march": compared(pictures["two tables"], pictures["march"]),
-        "stored_tables_to_march": compared(pictures["stored tables"], pictures["march"]),
+        "two_weathers_to_march": compared(pictures["two weathers"], pictures["march"]),
+        "two_weathers_to_tables": compared(pictures["two weathers"], pictures["tables"]),
         "tables_to_march": compared(pictures["tables"], pictures["march"]),
-        "between_suns_to_tables": compared(_between_suns(of, seen), pictures["tables"]),
+        "stored_suns_to_tables": compared(between_suns, pictures["tables"]),
     }
-
-
-def _between_suns(of: Sky, seen: SkyView) -> Light:
-    index = sun_axis.place(sky_view.elevation(seen.to_sun), sun_axis.CELLS)
-    lower = min(math.floor(float(index)), sun_axis.CELLS - 2)
-    beside = sun_axis.elevations(torch.tensor([lower, lower + 1.0], dtype=torch.float64), sun_axis.CELLS)
-    one, other = (_tables(of, replace(seen, to_sun=to)) for to in from_angles(beside, torch.zeros_like(beside)))
-    return sky.render_tables(of, TabledView(seen, stored_tables.sky_between(one, other, index - lower)))
 
 
 def _tables(of: Sky, seen: SkyView) -> SkyTables:
@@ -129,7 +125,9 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--out", type=Path, default=records.RESULTS, help="folder of the results")
     given = parser.parse_args(arguments)
     suns = SUNS if given.size == "full" else SUNS[2:3]
-    by_sun = [of_sun(sun) for sun in suns]
+    cells = torch.arange(sun_axis.CELLS, dtype=torch.float64)
+    stored = stored_sky.stored(hazy(1.0), sun_axis.elevations(cells, sun_axis.CELLS), SIZES[given.size])
+    by_sun = [of_sun(sun, stored) for sun in suns]
     blends = [of_blend(sun, share) for sun in (DRAWN if given.size == "full" else suns) for share in SHARES]
     for rows, keys in ((by_sun, ("sun_elevation",)), (blends, ("sun_elevation", "share"))):
         names = [name for name in rows[0] if name not in keys]

@@ -55,13 +55,23 @@ def test_two_tables_are_as_far_from_the_march_as_they_say(sun):
 
 
 # Haze and elevation of the sun -> the same against fresh tables of that haze.
-STORED = {(0.3, 60.0): 0.02, (1.0, 10.0): 0.04, (3.0, 10.0): 0.06, (8.0, 1.0): 0.06, (1.0, -4.0): 0.06}
+WEATHERS = {(0.3, 60.0): 0.02, (1.0, 10.0): 0.04, (3.0, 10.0): 0.06, (8.0, 1.0): 0.06, (1.0, -4.0): 0.06}
 
 
-@pytest.mark.parametrize(("haze", "sun"), STORED)
-def test_stored_tables_are_as_far_from_fresh_ones_as_they_say(haze, sun):
-    error = relative_error(hazy(haze), sun, "stored tables", "tables")
-    assert STORED[haze, sun] / 3.0 < error < STORED[haze, sun]
+@pytest.mark.parametrize(("haze", "sun"), WEATHERS)
+def test_two_weathers_are_as_far_from_fresh_tables_as_they_say(haze, sun):
+    error = relative_error(hazy(haze), sun, "two weathers", "tables")
+    assert WEATHERS[haze, sun] / 3.0 < error < WEATHERS[haze, sun]
+
+
+def test_daylight_between_two_stored_suns_is_near_that_made_for_it():
+    index = sun_axis.place(sky_view.elevation(towards(10.0)), sun_axis.CELLS)
+    lower = index.floor()
+    beside = torch.rad2deg(sun_axis.elevations(torch.stack([lower, lower + 1.0]), sun_axis.CELLS))
+    one, other, truth = (daylight(CLEAR, elevation) for elevation in (*beside, 10.0))
+    for name in ("in_scatter", "cloud", "sunlight", "skylight"):
+        found = stored_tables.between(getattr(one, name), getattr(other, name), index - lower)
+        torch.testing.assert_close(found, getattr(truth, name), rtol=0.01, atol=1e-9)
 
 
 def test_two_tables_follow_haziness_and_leave_the_air_as_it_was_made():

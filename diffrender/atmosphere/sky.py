@@ -26,7 +26,6 @@ from diffrender.atmosphere import (
     sky_tables,
     sky_view,
     stored_tables,
-    sun_axis,
     two_tables,
 )
 from diffrender.atmosphere.scattering import Medium, Paths
@@ -43,8 +42,8 @@ __all__ = ["EFFECT", "Geometry", "Size", "Sky", "SkyTables", "SkyView", "TabledV
 __all__ += ["overcast_share", "prepare", "quadrature", "render", "render_tables", "tables"]
 
 _MARCH = 48  # steps of a ray
-CLEAR, HAZY = 0.01, 10.0  # haze of the two weather types of "stored tables", in units of a clear day's
-STORED_SIZE = Size(rows=16, columns=6, steps=12, heights=5, suns=8, steps_around=5)  # of their tables
+CLEAR, HAZY = 0.01, 10.0  # haze of the two weather types of "two weathers", in units of a clear day's
+WEATHER_SIZE = Size(rows=16, columns=6, steps=12, heights=5, suns=8, steps_around=5)  # of their tables
 _HAZE_ALBEDO = 0.9  # share of the haze's extinction that is scattering, Bruneton and Neyret 2008
 
 
@@ -169,23 +168,17 @@ def render_two_tables(sky: Sky, prepared: TwoTabledView) -> Float[Tensor, "*batc
     return _compose(sky, prepared.view, found, prepared.tables.cloud)
 
 
-def prepare_stored(sky: Sky, view: SkyView) -> TabledView:
-    """Tables between two stored elevations of the sun, and between a clear and a hazy weather.
+def prepare_two_weathers(sky: Sky, view: SkyView) -> TabledView:
+    """Tables blended between those of a clear and of a hazy weather, smaller ones than `prepare` makes [1].
 
-    Of all that would be stored only the two cells round the sun are made. Every parameter but `mie_scale` enters both
-    weathers; above the haze of the hazy one it has no effect. The root of the mean square of its error against fresh
-    tables is 1 to 4 % by day, from a tenth to eight times a clear day's haze, and 5 % at -4 degrees.
+    Every parameter but `mie_scale` enters both; above the haze of the hazy one it has no effect. The
+    root of the mean square of its error against fresh tables is 1 to 5 % by day, from a tenth to eight times a clear
+    day's haze, and 5 to 6 % at -4 degrees.
     """
-    index = sun_axis.place(sky_view.elevation(view.to_sun), sun_axis.CELLS)
-    lower = index.detach().floor().clamp(max=sun_axis.CELLS - 2.0)
-    beside = sun_axis.elevations(torch.stack([lower, lower + 1.0]), sun_axis.CELLS)
-    suns = from_angles(beside, torch.zeros_like(beside))
-    fixed = [geometry(replace(view, to_sun=to_sun), STORED_SIZE) for to_sun in suns]
+    fixed = geometry(view, WEATHER_SIZE)
     weathers = [replace(sky, mie_scale=torch.full_like(sky.mie_scale, haze)) for haze in (CLEAR, HAZY)]
-    clear, hazy = (
-        stored_tables.sky_between(tables(one, fixed[0]), tables(one, fixed[1]), index - lower) for one in weathers
-    )
     amounts = torch.stack([stored_tables.amount(medium(one)) for one in weathers])
+    clear, hazy = (tables(one, fixed) for one in weathers)
     share = torch.clamp((sky.mie_scale - CLEAR) / (HAZY - CLEAR), 0.0, 1.0)
     return TabledView(view, stored_tables.sky_blended(clear, hazy, amounts, share))
 
@@ -325,7 +318,7 @@ EFFECT = Effect(
     rungs={
         "skip": Rung(skip),
         "two tables": Rung(render_two_tables, prepare_two_tables),
-        "stored tables": Rung(render_tables, prepare_stored),
+        "two weathers": Rung(render_tables, prepare_two_weathers),
         "tables": Rung(render_tables, prepare),
         "march single": Rung(render_single),
         "march": Rung(render, prepare_march),

@@ -67,11 +67,6 @@ def between(first: Tensor, second: Tensor, share: Float[Tensor, ""]) -> Tensor:
     return sun_axis.between(torch.stack([first, second]), share)
 
 
-def sky_between(first: SkyTables, second: SkyTables, share: Float[Tensor, ""]) -> SkyTables:
-    """Tables of the sky between those of two elevations of the sun."""
-    return SkyTables(between(first.in_scatter, second.in_scatter, share), between(first.cloud, second.cloud, share))
-
-
 def blended(first: Daylight, second: Daylight, share: Float[Tensor, ""]) -> Daylight:
     """Daylight of air that is mixed of two weathers: all of the first at a share of 0, of the second at 1."""
     sky = sky_blended(first.sky(), second.sky(), torch.stack([first.amount, second.amount]), share)
