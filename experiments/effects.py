@@ -6,7 +6,7 @@ inputs, where its box is swept. An effect that has no entry is shown its example
 
 import argparse
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -19,7 +19,6 @@ from torch.utils import _pytree as pytree
 from diffrender.atmosphere.celestial import Sun, SunView
 from diffrender.atmosphere.sky import SkyView
 from diffrender.catalogue import EFFECTS
-from diffrender.effect import Effect
 from diffrender.parameters import defaults, names, specifications, to_cube
 from diffrender.rays import Camera, Equirectangular, Perspective, Rays, from_angles, pixel_centres
 from experiments.records import RESULTS
@@ -29,24 +28,25 @@ IRRADIANCE = specifications(Sun)["irradiance"].default
 
 @dataclass(frozen=True)
 class Given:
-    """What an experiment on effects was asked for."""
+    """What an experiment was asked for: names of effects, or of what else it is about."""
 
-    effects: Mapping[str, Effect]
+    names: tuple[str, ...]
     is_small: bool
     out: Path
 
 
-def ask(about: str, arguments: Sequence[str] | None, known: Sequence[str] = tuple(EFFECTS)) -> Given:
-    """Effects and size from a command line; `known` are those that the experiment is about."""
+def ask(about: str, arguments: Sequence[str] | None, known: Iterable[str] = EFFECTS) -> Given:
+    """Names and size from a command line; `known` are the names that the experiment knows."""
+    known = tuple(known)
     parser = argparse.ArgumentParser(description=about)
-    parser.add_argument("names", nargs="*", help=f"effects, of {', '.join(known)}; all where none is named")
+    parser.add_argument("names", nargs="*", help=f"of {', '.join(known)}; all where none is given")
     parser.add_argument("--size", choices=("small", "full"), default="full")
     parser.add_argument("--out", type=Path, default=RESULTS, help="folder of the results")
     asked = parser.parse_args(arguments)
     unknown = sorted(set(asked.names) - set(known))
     if unknown:
-        parser.error(f"no effect {', '.join(unknown)}; known: {', '.join(known)}")
-    chosen = {name: EFFECTS[name] for name in known if not asked.names or name in asked.names}
+        parser.error(f"{', '.join(unknown)} is not known here; known: {', '.join(known)}")
+    chosen = tuple(name for name in known if not asked.names or name in asked.names)
     return Given(chosen, asked.size == "small", asked.out)
 
 

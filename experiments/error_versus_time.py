@@ -15,12 +15,14 @@ import torch
 from torch import Tensor
 from torch._dynamo.exc import TorchDynamoException  # torch has no public name for what torch.compile raises
 
+from diffrender.catalogue import EFFECTS
 from diffrender.effect import Effect
 from diffrender.parameters import defaults
 from experiments import effects, plots, records
-from experiments.timing import Spread, in_turn, ratio, seconds_of, spread
+from experiments.timing import Spread, in_turn, one_thread, ratio, seconds_of, spread
 
 COMPILERS = ("g++", "c++", "clang++")
+SAME = 1e-4  # of the largest value, between a compiled rung and the eager one
 LIT = 1e-6  # share of a picture's largest value above which a value has an error of its own
 
 
@@ -158,9 +160,6 @@ def compiled_rungs(effect: Effect, inputs: Any) -> tuple[dict[str, Callable[...,
     return made, refused
 
 
-SAME = 1e-4  # of the largest value, between compiled and eager
-
-
 def steps(name: str, effect: Effect, size: Size) -> tuple[list[Step], dict[str, str]]:
     """Every rung of an effect, cheapest first, and why some of them are not compiled."""
     on_examples = errors(effect, effect.example_inputs(torch.float64))
@@ -196,17 +195,16 @@ def table(found: Sequence[Step]) -> str:
 
 
 @torch.no_grad()
+@one_thread()
 def main(arguments: Sequence[str] | None = None) -> None:
     """Print the table, and write it as JSON and as a picture."""
     given = effects.ask("error of every rung against its time", arguments)
-    size, before = SMALL if given.is_small else Size(), torch.get_num_threads()
-    torch.set_num_threads(1)  # on two, other processes of a shared machine decide
+    size = SMALL if given.is_small else Size()
     found: list[Step] = []
     refused = {}
-    for name, effect in given.effects.items():
-        those, refused[name] = steps(name, effect, size)
+    for name in given.names:
+        those, refused[name] = steps(name, EFFECTS[name], size)
         found += those
-    torch.set_num_threads(before)
     print(table(found))
     written = given.out / "error_versus_time.json"
     content = {"size": asdict(size), "records": [asdict(step) for step in found], "not_compiled": refused}

@@ -143,3 +143,34 @@ def stability(path: Path) -> None:
     axes.invert_yaxis()
     figure.legend(loc="outside upper center", ncols=5, fontsize="small")
     figure.savefig(path.with_suffix(".png"), dpi=120)
+
+
+def pruning(path: Path) -> None:
+    """Time of whole and pruned scenes, in that of code written for each by hand."""
+    content = json.loads(path.read_text(encoding="utf-8"))
+    rows = content["records"]
+    places = list(range(len(rows)))
+    figure = Figure(figsize=(9.0, 1.5 + 0.5 * len(rows)), layout="constrained")
+    axes = figure.subplots()
+    ratios = [row["to_minimum"] for row in rows]
+    whole = [ratio["median"] * row["to_whole"]["median"] for ratio, row in zip(ratios, rows, strict=True)]
+    whiskers = [[abs(ratio[side] - ratio["median"]) for ratio in ratios] for side in ("lower", "upper")]
+    axes.barh([place - 0.2 for place in places], whole, height=0.4, color="0.7", label="whole scene")
+    axes.barh(
+        [place + 0.2 for place in places],
+        [ratio["median"] for ratio in ratios],
+        xerr=whiskers,
+        height=0.4,
+        capsize=3.0,
+        label="pruned",
+    )
+    axes.axvline(content["dearest"], color="red", linestyle=":", label="allowed for the pruned one")
+    axes.set(
+        yticks=places,
+        yticklabels=[row["scene"] for row in rows],
+        xscale="log",
+        xlabel="time over that of the minimum written by hand",
+    )
+    axes.invert_yaxis()
+    figure.legend(loc="outside upper center", ncols=5, fontsize="small")
+    figure.savefig(path.with_suffix(".png"), dpi=120)

@@ -26,6 +26,7 @@ import torch
 from torch import Tensor
 from torch.utils import _pytree as pytree
 
+from diffrender.catalogue import EFFECTS
 from diffrender.effect import Effect, Rung
 from diffrender.parameters import from_cube, names
 from experiments import effects, plots, records
@@ -309,7 +310,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     """Print the tables, and write them as JSON and as a picture."""
     given = effects.ask("float32 beside float64 over the box", arguments)
     size = SMALL if given.is_small else Size()
-    found = [swept(name, effect, rung, size) for name, effect in given.effects.items() for rung in effect.rungs]
+    found = [swept(name, EFFECTS[name], rung, size) for name in given.names for rung in EFFECTS[name].rungs]
     print(table(found))
     causes = {
         f"{one.effect}: {one.rung}": dict(Counter(f"{far.of}: {far.cause}" for far in one.beyond)) for one in found

@@ -7,12 +7,15 @@ import shutil
 import statistics
 import subprocess
 import time
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from importlib import metadata
 from pathlib import Path
 from typing import Any
+
+import torch
 
 LEAST_SECONDS = 5e-3  # that a work is timed for
 THREADS = 2  # of whatever is timed, so that machines with more cores give the same ratios
@@ -97,6 +100,17 @@ def seconds_of(work: Callable[[], object]) -> float:
         calls += 1
         taken = time.perf_counter() - began
     return taken / calls
+
+
+@contextmanager
+def one_thread() -> Iterator[None]:
+    """Torch on one thread: on two, the other processes of a shared machine decide how long a work takes."""
+    before = torch.get_num_threads()
+    torch.set_num_threads(1)
+    try:
+        yield
+    finally:
+        torch.set_num_threads(before)
 
 
 def provenance(threads: int = THREADS) -> dict[str, Any]:
