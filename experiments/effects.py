@@ -17,6 +17,7 @@ from torch import Tensor
 from torch.utils import _pytree as pytree
 
 from diffrender.atmosphere.celestial import Sun, SunView
+from diffrender.atmosphere.scattering import SUN_RADIUS
 from diffrender.atmosphere.sky import SkyView
 from diffrender.catalogue import EFFECTS
 from diffrender.parameters import defaults, names, specifications, to_cube
@@ -92,7 +93,10 @@ def _sky_view(direction: Tensor, elevation: float) -> SkyView:
 def _disc_picture(width: int, height: int) -> SunView:
     """A sun that a quarter of the picture is as wide as."""
     sun = defaults(Sun, torch.float64)
-    camera = Perspective(width, height, field_of_view=0.04, pitch=float(sun.elevation))
+    return _disc_view(Perspective(width, height, field_of_view=4.0 * 2.0 * SUN_RADIUS, pitch=float(sun.elevation)))
+
+
+def _disc_view(camera: Camera) -> SunView:
     direction = directions(camera)
     rays = Rays(direction.new_zeros(3), direction, direction.new_tensor(math.inf))
     return SunView(rays, direction.new_tensor((0.9, 0.8, 0.6)))
@@ -144,8 +148,15 @@ def _hard_directions(sun: float) -> Float[Tensor, "n 3"]:
     return from_angles(elevation, azimuth)
 
 
+def _hard_discs() -> dict[str, SunView]:
+    """Across the whole disc of a sun at the defaults, and at the zenith and the nadir."""
+    across = 2.5 * SUN_RADIUS
+    pitches = {"disc at 45": 45.0, "disc at 90": 90.0, "disc at -90": -90.0}
+    return {name: _disc_view(Perspective(12, 12, across, math.radians(pitch))) for name, pitch in pitches.items()}
+
+
 # Effect -> its hard inputs by name, in float64.
-HARD: Mapping[str, Callable[[], Mapping[str, Any]]] = {"sky": _hard_skies}
+HARD: Mapping[str, Callable[[], Mapping[str, Any]]] = {"sky": _hard_skies, "sun disc": _hard_discs}
 
 
 def hard_inputs(name: str) -> Mapping[str, Any]:

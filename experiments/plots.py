@@ -2,8 +2,11 @@
 
 import json
 import math
+from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 MUST = 0.45  # largest geometric mean of the errors over those of the better peer
@@ -92,39 +95,45 @@ def coverage(path: Path) -> None:
 
 
 def error_versus_time(path: Path) -> None:
-    """Error over time, both as powers of ten: a line for each effect, a place for each rung."""
+    """Error over time, both as powers of ten: a panel for each effect, a place for each rung."""
     content = json.loads(path.read_text(encoding="utf-8"))
-    figure = Figure(figsize=(9.0, 6.0), layout="constrained")
-    axes = figure.subplots()
-    for effect in dict.fromkeys(row["effect"] for row in content["records"]):
-        rows = [row for row in content["records"] if row["effect"] == effect]
-        drawing = [1e3 * row["times"]["render"]["median"] for row in rows]
-        whole = [1e3 * row["times"]["prepare"]["median"] + time for row, time in zip(rows, drawing, strict=True)]
-        error = [row["on_examples"]["largest"] for row in rows]
-        (line,) = axes.plot(whole, error, marker="o", label=f"{effect}: largest, tables and picture")
-        axes.plot(drawing, error, marker="|", linestyle="", color=line.get_color())
-        axes.hlines(error, drawing, whole, color=line.get_color(), linewidth=0.8)
-        if all(row["on_picture"] for row in rows):
-            median = [row["on_picture"]["median"] for row in rows]
-            axes.plot(whole, median, marker=".", linestyle=":", color=line.get_color(), label="median on a picture")
-        for row, time, height in zip(rows, whole, error, strict=True):
-            axes.annotate(row["rung"], (time, height), textcoords="offset points", xytext=(5, 5), fontsize="small")
+    effects = list(dict.fromkeys(row["effect"] for row in content["records"]))
+    lines = math.ceil(len(effects) / 2)
+    figure = Figure(figsize=(10.0, 1.0 + 4.0 * lines), layout="constrained")
+    panels = list(figure.subplots(lines, 2, squeeze=False).flat)
+    for effect, axes in zip(effects, panels, strict=False):
+        _error_panel(axes, effect, [row for row in content["records"] if row["effect"] == effect])
+    for axes in panels[len(effects) :]:
+        axes.set_visible(False)
     width, height = content["size"]["timed"]
-    axes.set(
-        xscale="log",
-        yscale="log",
-        xlabel=f"ms for a picture of {width} × {height} on one thread; tick: without what is prepared once",
-        ylabel="error in float32 against the reference",
-    )
-    axes.grid(alpha=0.3)
-    axes.legend(fontsize="small")
+    figure.supxlabel(f"ms for a picture of {width} × {height} on one thread")
+    figure.supylabel("error in float32 against the reference")
+    figure.legend(*panels[0].get_legend_handles_labels(), loc="outside upper center", ncols=3, fontsize="small")
     figure.savefig(path.with_suffix(".png"), dpi=120)
+
+
+def _error_panel(axes: Axes, effect: str, rows: Sequence[dict[str, Any]]) -> None:
+    drawing = [1e3 * row["times"]["render"]["median"] for row in rows]
+    whole = [1e3 * row["times"]["prepare"]["median"] + time for row, time in zip(rows, drawing, strict=True)]
+    largest = [row["on_examples"]["largest"] for row in rows]
+    axes.plot(whole, largest, "o-", label="largest on examples; time with what is prepared")
+    axes.plot(drawing, largest, "|", color="tab:blue", label="without what is prepared once")
+    axes.hlines(largest, drawing, whole, color="tab:blue", linewidth=0.8)
+    if all(row["on_picture"] for row in rows):
+        axes.plot(
+            whole, [row["on_picture"]["median"] for row in rows], ".:", color="tab:orange", label="median on a picture"
+        )
+    for row, time, height in zip(rows, whole, largest, strict=True):
+        axes.annotate(row["rung"], (time, height), textcoords="offset points", xytext=(5, 5), fontsize="small")
+    axes.set(title=effect, xscale="log", yscale="log")
+    axes.margins(x=0.15)
+    axes.grid(alpha=0.3)
 
 
 def stability(path: Path) -> None:
     """How far float32 is from float64: median, 99.9 % and largest of each kind of number of each rung."""
     content = json.loads(path.read_text(encoding="utf-8"))
-    rows = [(rung, one) for rung in content["records"] for one in rung["followed"]]
+    rows = [(rung, one) for rung in content["records"] for one in rung["followed"] if one["count"]]
     places = range(len(rows))
     figure = Figure(figsize=(9.0, 1.5 + 0.25 * len(rows)), layout="constrained")
     axes = figure.subplots()
@@ -150,20 +159,13 @@ def pruning(path: Path) -> None:
     content = json.loads(path.read_text(encoding="utf-8"))
     rows = content["records"]
     places = list(range(len(rows)))
-    figure = Figure(figsize=(9.0, 1.5 + 0.5 * len(rows)), layout="constrained")
+    figure = Figure(figsize=(9.0, 1.5 + 0.4 * len(rows)), layout="constrained")
     axes = figure.subplots()
     ratios = [row["to_minimum"] for row in rows]
     whole = [ratio["median"] * row["to_whole"]["median"] for ratio, row in zip(ratios, rows, strict=True)]
     whiskers = [[abs(ratio[side] - ratio["median"]) for ratio in ratios] for side in ("lower", "upper")]
-    axes.barh([place - 0.2 for place in places], whole, height=0.4, color="0.7", label="whole scene")
-    axes.barh(
-        [place + 0.2 for place in places],
-        [ratio["median"] for ratio in ratios],
-        xerr=whiskers,
-        height=0.4,
-        capsize=3.0,
-        label="pruned",
-    )
+    axes.plot(whole, places, "s", color="0.6", label="whole scene")
+    axes.errorbar([ratio["median"] for ratio in ratios], places, xerr=whiskers, fmt="o", capsize=3.0, label="pruned")
     axes.axvline(content["dearest"], color="red", linestyle=":", label="allowed for the pruned one")
     axes.set(
         yticks=places,
