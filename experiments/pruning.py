@@ -21,7 +21,7 @@ from diffrender.scene import Choice, Exposure, Scene, finest, prune, render, sky
 from experiments import effects, plots, records
 from experiments.timing import Spread, in_turn, one_thread, ratio, seconds_of
 
-SIZE, ROUNDS = (128, 64), 11
+SIZE, ROUNDS = (96, 48), 9
 SMALL_SIZE, SMALL_ROUNDS = (16, 8), 1
 DEAREST = 1.05  # pruned over minimum
 
