@@ -2,7 +2,7 @@
 
 Each scene has a tolerance, as a share of the largest value of its whole picture, and a minimum: the least code that
 draws it within that tolerance, written here by hand without looking at a catalogue or a list of rungs. Whole, pruned
-and minimum take turns on one thread.
+and minimum take turns on one thread, in processor time.
 """
 
 import math
@@ -21,7 +21,7 @@ from diffrender.scene import Choice, Exposure, Scene, finest, prune, render, sky
 from experiments import effects, plots, records
 from experiments.timing import Spread, in_turn, one_thread, ratio, seconds_of
 
-SIZE, ROUNDS = (96, 48), 9
+SIZE, ROUNDS = (96, 48), 5
 SMALL_SIZE, SMALL_ROUNDS = (16, 8), 1
 DEAREST = 1.05  # pruned over minimum
 

@@ -92,19 +92,22 @@ def ratio(longer: Spread, shorter: Spread) -> Spread:
 
 
 def seconds_of(work: Callable[[], object]) -> float:
-    """Time of one call [s]: called again and again for a few milliseconds, so that the clock does not count."""
+    """Processor time of one call [s]: the slices that other processes of a shared machine get do not count.
+
+    Called again and again for a few milliseconds, so that the clock does not count either.
+    """
     calls, taken = 0, 0.0
-    began = time.perf_counter()
+    began = time.process_time()
     while taken < LEAST_SECONDS:
         work()
         calls += 1
-        taken = time.perf_counter() - began
+        taken = time.process_time() - began
     return taken / calls
 
 
 @contextmanager
 def one_thread() -> Iterator[None]:
-    """Torch on one thread: on two, the other processes of a shared machine decide how long a work takes."""
+    """Torch on one thread, so that processor time is the time that a work takes on a machine with nothing else to do."""
     before = torch.get_num_threads()
     torch.set_num_threads(1)
     try:
