@@ -11,6 +11,7 @@ An interval is value +- 1 or 1.96 standard errors in the parameter's own scale (
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
+from pathlib import Path
 
 import numpy as np
 import torch
@@ -31,7 +32,7 @@ from fit.solution import SunPlace
 
 CAMERA = Equirectangular(256, 128)
 LOWEST_SUN, HIGHEST_SUN = 5.0, 60.0  # [degrees]
-SKIES = {"small": 3, "full": 1000}
+SKIES = {"small": 2, "full": 1000}
 DRAWN = (*sky.SEARCHED, *sky.POOL)
 ONE, TWO = 1.0, 1.96  # standard errors, between which 68 % and 95 % of a normal distribution lie
 
@@ -149,27 +150,28 @@ def main(arguments: Sequence[str] | None = None) -> None:
     given = shots.ask("coverage of the intervals of fitted skies", arguments)
     fields = {shot.name: residual_field(shot) for shot in given.shots}
     skies = SKIES["small" if given.is_small else "full"]
-    found = [miss for seed in range(skies) for miss in misses(seed, fields)]
-    by_name = {name: [miss for miss in found if miss.name == name] for name in DRAWN}
-    rows = [coverage(name, own) for name, own in by_name.items() if own]
-    by_photo = [coverage(name, own) for name in fields if (own := [miss for miss in found if miss.photo == name])]
-    rows.append(coverage("all", found))
+    write(given.out / "coverage.json", skies, [miss for seed in range(skies) for miss in misses(seed, fields)])
+
+
+def write(path: Path, skies: int, found: Sequence[Miss]) -> None:
+    """Print and write how often the intervals of some skies hold the truth, by parameter, by noise and altogether."""
+    by_name = [coverage(name, own) for name in DRAWN if (own := [miss for miss in found if miss.name == name])]
+    photos_of_noise = sorted({miss.photo for miss in found})
+    by_photo = [coverage(name, [miss for miss in found if miss.photo == name]) for name in photos_of_noise]
+    by_name.append(coverage("all", found))
     lines = [
         [
             row.name,
             str(row.determined),
-            f"{100.0 * row.within_one:.1f}",
-            f"{100.0 * row.within_two:.1f}",
-            f"{row.median_error:.4f}",
-            f"{row.median_standard_error:.4f}",
+            *(f"{100.0 * share:.1f}" for share in (row.within_one, row.within_two)),
+            *(f"{size:.4f}" for size in (row.median_error, row.median_standard_error)),
         ]
-        for row in [*rows, *by_photo]
+        for row in [*by_name, *by_photo]
     ]
     print(records.table(["parameter", "determined", "68 %", "95 %", "error", "standard error"], lines))
-    written = given.out / "coverage.json"
-    content = {"skies": skies, "records": [asdict(row) for row in rows], "noise": [asdict(row) for row in by_photo]}
-    records.write(written, content)
-    plots.coverage(written)
+    content = {"records": [asdict(row) for row in by_name], "noise": [asdict(row) for row in by_photo]}
+    records.write(path, {"skies": skies, **content})
+    plots.coverage(path)
 
 
 if __name__ == "__main__":

@@ -23,7 +23,7 @@ from fit.objective import Sample, SkyObjective
 from fit.photo import Photo
 from fit.pixels import Pixels, averaged, stratified, usable
 from fit.search_space import SearchSpace, value
-from fit.selection import OF_OVERCAST, begin, left_open, pinned_scene, undetermined, widened
+from fit.selection import begin, left_open, pinned_scene, undetermined, widened
 from fit.solution import Fitted, Solution, SunPlace
 from fit.solvers import Minimise, solver
 from fit.uncertainty import Uncertainty, evidence, uncertainty
@@ -277,13 +277,9 @@ def _reselected(
 
 def _known(objective: SkyObjective, point: Point, options: Options) -> Uncertainty:
     """How well coordinates are determined, whatever is held without being known; all is where a scene was given."""
-    space = objective.space
-    held = [name for name in (*SEARCHED, *POOL) if name not in space.free and name not in options.fixed]
-    if options.start is not None:
-        held = []
-    elif "SKY_OVERCAST" not in space.free and float(value(space.start, places()["SKY_OVERCAST"])) == 0.0:
-        # The photo showed no layer: the prior of its share no longer holds.
-        held = [name for name in held if not name.startswith(OF_OVERCAST)]
+    free = objective.space.free
+    unknown = (*SEARCHED, *POOL) if options.start is None else ()
+    held = [name for name in unknown if name not in free and name not in options.fixed]
     return uncertainty(evidence(objective, point, held), point)
 
 

@@ -9,6 +9,7 @@ How often intervals hold the truth is measured by `experiments.coverage`.
 
 [1] W. Newey, K. West, "A simple, positive semi-definite, heteroskedasticity and autocorrelation consistent covariance
     matrix", Econometrica 55(3), 1987: the variance of an estimate by least squares under correlated noise.
+[2] C. D. Rodgers, "Inverse methods for atmospheric sounding", 2000, section 2.4: the averaging kernel.
 """
 
 from collections.abc import Sequence
@@ -24,7 +25,10 @@ from fit.objective import PRIOR_WEIGHT, SkyObjective
 from fit.residual_covariance import score_covariance
 
 WIDEST = 0.25  # standard error, as a share of the bounds, from which a parameter counts as not determined
-AT_BOUND = 1e-6
+LEAST_RESOLUTION = 0.5  # below which the prior has the greater say, and the photo does not determine a parameter
+AT_BOUND = (
+    1e-2  # so near a face of the cube the noise alone may have led there, and slopes say little of what is beyond
+)
 # Share of the slopes of a direction's unit step that its parameters' columns cancel to: below it, differences of a
 # millionth cannot tell the parameters apart.
 COLLINEAR = 1e-5
@@ -72,14 +76,14 @@ def evidence(objective: SkyObjective, point: Point, held: Sequence[str]) -> Evid
 def uncertainty(evidence: Evidence, point: Float64[np.ndarray, " k"]) -> Uncertainty:
     """Standard errors in the unit cube.
 
-    Coordinates on a face of the cube, without slope, or with an error beyond WIDEST are not determined. They stay free
-    in the errors of the others: the face may be the noise's doing.
+    Coordinates on a face of the cube, without slope, with an error beyond WIDEST or where the prior has the greater say
+    are not determined. They stay free in the errors of the others: the face may be the noise's doing.
     """
-    why = reasons(evidence.slopes.reshape(-1, point.size), point)
-    covariance = _covariance(evidence)
+    why = reasons(evidence.slopes.reshape(-1, point.size), point, AT_BOUND)
+    covariance, resolution = _covariance(evidence)
     error = np.sqrt(np.maximum(covariance.diagonal(), 0.0))
     for index in unexplained(why):
-        if error[index] > WIDEST:
+        if error[index] > WIDEST or resolution[index] < LEAST_RESOLUTION:
             why[index] = "not determined by the photo"
     kept = unexplained(why)
     whole_error, whole_correlation = np.full(point.size, np.nan), np.eye(point.size)
@@ -90,13 +94,16 @@ def uncertainty(evidence: Evidence, point: Float64[np.ndarray, " k"]) -> Uncerta
     return Uncertainty(whole_error, whole_correlation, tuple(why))
 
 
-def reasons(slopes: Float64[np.ndarray, "m k"], point: Float64[np.ndarray, " k"]) -> list[str]:
-    """Why coordinates are not determined whatever the noise; empty for those that may be."""
+def reasons(slopes: Float64[np.ndarray, "m k"], point: Float64[np.ndarray, " k"], nearness: float) -> list[str]:
+    """Why coordinates are not determined whatever the noise; empty for those that may be.
+
+    A coordinate nearer to a face of the cube than `nearness` is at its bound.
+    """
     why = ["" for _ in point]
     for index, place in enumerate(point):
         if not np.abs(slopes[:, index]).max() > 0.0:
             why[index] = "without influence on this photo"
-        elif place <= AT_BOUND or place >= 1.0 - AT_BOUND:
+        elif place <= nearness or place >= 1.0 - nearness:
             why[index] = "at its lower bound" if place < 0.5 else "at its upper bound"
     while (same := _collinear(slopes, kept := unexplained(why))) is not None:
         why[kept[same]] = "not told apart from others by the photo"
@@ -117,8 +124,11 @@ def _collinear(slopes: Float64[np.ndarray, "m n"], kept: list[int]) -> int | Non
     return int(np.abs(directions[-1]).argmax()) if spread[-1] < COLLINEAR else None
 
 
-def _covariance(evidence: Evidence) -> Float64[np.ndarray, "k k"]:
-    """Mean square of the distance between estimate and truth, to first order in slopes."""
+def _covariance(evidence: Evidence) -> tuple[Float64[np.ndarray, "k k"], Float64[np.ndarray, " k"]]:
+    """Mean square of the distance between estimate and truth, to first order in slopes; and the estimate's resolution.
+
+    That is the share of a small change of the truth that the estimate follows, the rest being the prior's [2].
+    """
     # Gains in closed form have taken the mean already; what robustness has put back of it would be noise.
     slopes = evidence.slopes - evidence.slopes.mean(0)
     flat = slopes.reshape(-1, slopes.shape[2])
@@ -128,5 +138,4 @@ def _covariance(evidence: Evidence) -> Float64[np.ndarray, "k k"]:
     # Of centre less and plus a deviation, each counts half.
     held = evidence.changes.reshape(len(evidence.changes), flat.shape[0]) @ flat
     own = np.diag((ridge * evidence.spread) ** 2)
-    covariance: Float64[np.ndarray, "k k"] = bread @ (noise + 0.5 * held.T @ held + own) @ bread
-    return covariance
+    return bread @ (noise + 0.5 * held.T @ held + own) @ bread, 1.0 - bread.diagonal() * ridge

@@ -14,6 +14,7 @@ import OpenImageIO
 import pytest
 
 from experiments import (
+    coverage,
     enlarged,
     fit_accuracy,
     fit_command,
@@ -309,6 +310,30 @@ def test_fit_accuracy_judges_what_the_command_wrote(photos, tmp_path, sky, capsy
 @pytest.mark.slow
 def test_fit_accuracy_runs_the_real_command(shot):
     assert 0.0 < fit_accuracy.accuracy(shot).ratio < 1.0
+
+
+# coverage
+
+
+@pytest.mark.slow
+def test_coverage_counts_what_intervals_hold(photos, tmp_path, capsys):
+    coverage.main(["--photos", str(photos), "--size", "small", "--out", str(tmp_path)])
+    content = json.loads((tmp_path / "coverage.json").read_text())
+    *each, together = content["records"]
+    (noise,) = content["noise"]
+    assert together["determined"] == sum(row["determined"] for row in each) == noise["determined"]
+    for row in content["records"]:
+        assert 0.0 <= row["within_one"] <= row["within_two"] <= 1.0
+        assert row["median_standard_error"] > 0.0
+    assert noise["name"] == NAME
+    assert (tmp_path / "coverage.png").stat().st_size > 1000
+    assert "68 %" in capsys.readouterr().out
+
+
+def test_skies_are_drawn_inside_their_bounds_and_each_is_another():
+    drawn = [coverage.truth(np.random.default_rng(seed)) for seed in range(20)]
+    assert len({sky["SKY_OZONE"] for sky in drawn}) == 20
+    assert all(0.0 < place < 1.0 for sky in drawn for place in sky.values())
 
 
 # peer_time

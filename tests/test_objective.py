@@ -7,7 +7,7 @@ from synthetic_sky import HAZY_MORNING
 from diffrender import rays
 from diffrender.atmosphere import sky
 from diffrender.scene import sky_view
-from fit import keyframes
+from fit import keyframes, priors
 from fit.objective import PRIOR_WEIGHT, Sample, SkyObjective
 from fit.search_space import SearchSpace
 
@@ -48,7 +48,7 @@ RADIANCE = torch.exp(OBJECTIVE.sample.log_radiance) - FLOOR
 
 
 def test_residuals_vanish_where_the_photo_is_the_model():
-    assert OBJECTIVE.residuals(POINT).abs().max() < 1e-9
+    assert OBJECTIVE.residuals(POINT)[: 3 * COUNT].abs().max() < 1e-9
 
 
 def test_the_scale_of_a_photo_is_no_matter():
@@ -95,16 +95,35 @@ def test_an_outlier_counts_less_than_its_square():
     def loss(factor):
         outlier = RADIANCE.clone()
         outlier[0] *= factor
-        return 0.5 * float(seen(OBJECTIVE, outlier).residuals(POINT).square().sum())
+        return 0.5 * float(seen(OBJECTIVE, outlier).residuals(POINT)[: 3 * COUNT].square().sum())
 
     # Twice the logarithm: four times the loss for small ones, about twice for large ones.
     assert loss(1.01**2) / loss(1.01) == pytest.approx(4.0, rel=0.02)
     assert loss(1e80) / loss(1e40) < 2.5
 
 
-def test_without_evidence_parameters_stay_at_their_start():
+def test_without_evidence_parameters_stay_at_the_centres_of_their_priors():
     dark = replace(OBJECTIVE, space=replace(OBJECTIVE.space, free=("SKY_OZONE",)))
-    at_start = torch.from_numpy(dark.space.point(dark.space.start))
-    pull = dark.residuals(at_start + 0.2)[-1]
-    assert float(pull) == pytest.approx(0.2 * PRIOR_WEIGHT)
-    assert float(dark.residuals(at_start)[-1]) == 0.0
+    prior = priors.in_unit_cube(dark.space.free)
+    centre, spread = torch.from_numpy(prior.centre), torch.from_numpy(prior.spread)
+    assert float(dark.residuals(centre)[-1]) == 0.0
+    assert float(dark.residuals(centre + 2.0 * spread)[-1]) == pytest.approx(2.0 * PRIOR_WEIGHT)
+
+
+def test_changes_are_those_of_a_search_that_goes_there():
+    space = replace(OBJECTIVE.space, free=OBJECTIVE.space.free[:3])
+    known = replace(OBJECTIVE, space=space)
+    names = ("SKY_OZONE", "SKY_COARSE_SCALE")
+    prior = priors.in_unit_cube(names)
+    changes = known.changes(POINT[:3], names)
+    wider = replace(known, space=replace(space, free=(*space.free, *names)))
+    point = torch.from_numpy(wider.space.point(space.start))
+    for row, (axis, sign) in enumerate([(0, -1), (0, 1), (1, -1), (1, 1)]):
+        moved = point.clone()
+        moved[3 + axis] = prior.centre[axis] + sign * prior.spread[axis]
+        expected = wider.residuals(moved) - wider.residuals(point)
+        torch.testing.assert_close(changes[row], expected[: 3 * COUNT])
+
+
+def test_nothing_held_changes_nothing():
+    assert OBJECTIVE.changes(POINT, ()).shape == (0, 3 * COUNT)
