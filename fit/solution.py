@@ -18,7 +18,9 @@ class Fitted:
     value: float
     unit: str
     bounds: tuple[float, float]
-    standard_error: float | None  # None where the photo does not determine the parameter
+    # None where the photo does not determine the parameter. Of a log parameter, over the value, that of its logarithm:
+    # the interval is the value times and over exp(error / value). Intervals end at the bounds.
+    standard_error: float | None
     determined: bool
     why: str  # "searched", "closed form", "given", "default", "not determined by the photo", "at its lower bound" ...
 
