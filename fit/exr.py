@@ -24,9 +24,9 @@ from jaxtyping import Float, Shaped
 
 from diffrender.colour import REC709, rec709_from
 from fit.input_error import InputError
+from fit.limits import check_packing, check_size
 from fit.whole_file import whole_file
 
-LARGEST_PIXELS = 64_000_000
 LARGEST_BYTES = 2_200_000_000  # of all channels of all parts, for OpenEXR reads a file whole
 VALUE_BYTES = 4  # headers do not tell halves from floats
 DEEP_VALUE_BYTES = 160  # a deep pixel is an array of its own
@@ -34,6 +34,7 @@ BAND = 256  # rows that are converted at a time, so that no second picture of fl
 
 MAGIC = b"\x76\x2f\x31\x01"
 DEEP = (OpenEXR.deepscanline, OpenEXR.deeptile)
+TILED = (OpenEXR.tiledimage, OpenEXR.deeptile)
 XYZ = (1.0, 0.0, 0.0, 1.0, 0.0, 0.0)  # x and y of the primaries X, Y and Z
 
 # What the binding raises for a damaged file: its own errors, those of names that are no UTF-8, and C++'s.
@@ -145,16 +146,6 @@ def first_bytes(path: Path) -> bytes:
     return first
 
 
-def check_size(path: Path, width: int, height: int) -> None:
-    """Refuse a picture that is larger than any camera's, before its pixels are read.
-
-    Raises:
-        InputError: above 64 megapixels.
-    """
-    if width * height > LARGEST_PIXELS:
-        raise InputError(f"{path} is {width} x {height}; at most {LARGEST_PIXELS:,} pixels are read: scale it down")
-
-
 def to_rec709(path: Path, radiance: Radiance, chromaticities: Sequence[float]) -> Radiance:
     """Radiance in Rec. 709; float32 radiance is converted in place.
 
@@ -225,18 +216,23 @@ def _silence() -> Iterator[None]:
 
 
 def _check_sizes(path: Path, headers: Sequence[Header]) -> None:
-    total = 0
+    total = shown = 0
     for header in headers:
         data, display = _window(header, "dataWindow"), _window(header, "displayWindow")
         check_size(path, data.width, data.height)
         check_size(path, display.width, display.height)
+        tile = header["tiles"] if header["type"] in TILED else None
         value_bytes = DEEP_VALUE_BYTES if header["type"] in DEEP else VALUE_BYTES
-        total += data.width * data.height * len(header["channels"]) * value_bytes
+        # A tile may be larger than its picture, and takes that much room all the same.
+        largest = max(data.width * data.height, tile.xSize * tile.ySize if tile else 0)
+        total += largest * len(header["channels"]) * value_bytes
+        shown = max(shown, 3 * display.width * display.height * VALUE_BYTES)
     if total > LARGEST_BYTES:
         raise InputError(
             f"{path} holds {total / 1e9:.1f} GB of pixels in all its channels; at most {LARGEST_BYTES / 1e9:.1f} GB "
             "are read: leave channels out or scale it down"
         )
+    check_packing(path, max(total, shown))
 
 
 def _window(header: Header, name: str) -> Window:

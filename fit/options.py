@@ -10,8 +10,8 @@ import torch
 from diffrender.rays import Camera, Cubemap, Equirectangular, Perspective
 from diffrender.scene import Scene
 from fit import keyframes, weather_file
-from fit.exr import LARGEST_PIXELS
 from fit.input_error import InputError
+from fit.limits import LARGEST_PIXELS
 from fit.photo import LAYOUTS, PROJECTIONS
 
 

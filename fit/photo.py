@@ -22,6 +22,7 @@ from diffrender import rays
 from diffrender.colour import REC709
 from fit import exr
 from fit.input_error import InputError
+from fit.limits import check_packing, check_size
 
 PROJECTIONS = {
     "equirectangular": "2:1, or 4:1 for the upper half",
@@ -262,7 +263,8 @@ def _read_radiance(path: Path) -> exr.Picture:
     if (size[1], size[3]) != (b"-Y", b"+X"):
         raise InputError(f"{path} is stored turned or mirrored; save it with its first row on top (-Y +X)")
     height, width = int(size[2]), int(size[4])
-    exr.check_size(path, width, height)
+    check_size(path, width, height)
+    check_packing(path, 3 * width * height * exr.VALUE_BYTES)
     given = variables.get("FORMAT", "")
     if given != "32-bit_rle_rgbe":
         raise InputError(f"{path} has the FORMAT {given!a}; needed is 32-bit_rle_rgbe: convert it with ra_xyze -r")

@@ -21,7 +21,7 @@ from fit.whole_file import write_bytes
 FIRST_LINE = "# weather 1"
 HOURS = "TIME_OF_DAY"
 HOUR_OF_UNKNOWN_TIME = 12.0
-LARGEST = 4 * 2**20  # bytes; a hundred times what a day at every quarter of an hour needs
+LARGEST = 2**20  # bytes; twenty times what a day at every quarter of an hour needs, and read within seconds
 CLOSEST = 1e-6  # hours, 4 ms: nearer hours count as the same one, and slopes between keyframes cannot overflow
 
 _HEADER_NAME = re.compile(r"[A-Za-z]([A-Za-z0-9 _-]*[A-Za-z0-9_-])?")

@@ -1,3 +1,4 @@
+import struct
 from pathlib import Path
 
 import numpy as np
@@ -129,3 +130,46 @@ def test_what_is_no_file_is_one_line(tmp_path: Path, name: str, match: str) -> N
     (tmp_path / "0").touch()
     with pytest.raises(InputError, match=match):
         exr.read(tmp_path / name)
+
+
+def save_declared(path: Path, **sizes: tuple[int, int]) -> Path:
+    """A small good picture whose header names other sizes than it has."""
+    header = {"type": OpenEXR.tiledimage, "tiles": OpenEXR.TileDescription()}
+    content = save(path, {"RGB": random(HEIGHT, WIDTH, 3)}, **header).read_bytes()
+    for name, (width, height) in sizes.items():
+        start = content.index(name.encode() + b"\0")
+        kind, written = (b"tiledesc", (width, height)) if name == "tiles" else (b"box2i", (0, 0, width - 1, height - 1))
+        at = content.index(kind + b"\0", start) + len(kind) + 5  # behind its type and length
+        value = np.array(written, "<i4").tobytes()
+        content = content[:at] + value + content[at + len(value) :]
+    path.write_bytes(content)
+    return path
+
+
+def test_a_small_file_that_names_a_large_picture_is_refused_before_it_takes_room(tmp_path: Path) -> None:
+    large, small = (8000, 4000), (WIDTH, HEIGHT)
+    assert exr.read(save_declared(tmp_path / "a.exr", dataWindow=small, displayWindow=small, tiles=(64, 64)))
+    for name, match in (("dataWindow", "unpack"), ("displayWindow", "unpack"), ("tiles", "unpack")):
+        with pytest.raises(InputError, match=match):
+            exr.read(save_declared(tmp_path / "a.exr", **{name: large}))
+    with pytest.raises(InputError, match=r"holds 51\.5 GB"):  # of which OpenEXR would take 4.5
+        exr.read(save_declared(tmp_path / "a.exr", tiles=(65_536, 65_536)))
+
+
+CHUNKS = [("NO", OpenEXR.scanlineimage, 64), ("ZIP", OpenEXR.scanlineimage, 4), ("PIZ", OpenEXR.tiledimage, 4)]
+
+
+@pytest.mark.parametrize(("compression", "kind", "count"), CHUNKS)
+def test_a_lost_chunk_is_no_hole(tmp_path: Path, compression: str, kind: int, count: int) -> None:
+    tiles = {"tiles": OpenEXR.TileDescription()} if kind == OpenEXR.tiledimage else {}
+    header = {"compression": getattr(OpenEXR, f"{compression}_COMPRESSION"), "type": kind, **tiles}
+    whole = save(tmp_path / "a.exr", {"RGB": random(64, 64, 3)}, **header).read_bytes()
+    # The table of chunks ends where its first entry points to.
+    (first,) = (at for at in range(len(whole) - 8) if whole[at : at + 8] == struct.pack("<q", at + 8 * count))
+    end = first + 8 * count
+    (last,) = struct.unpack("<q", whole[end - 8 : end])
+    without_entry = whole[: end - 8] + bytes(8) + whole[end:]
+    for content in (whole[:last], without_entry[:last], without_entry[:last] + bytes(len(whole) - last)):
+        (tmp_path / "a.exr").write_bytes(content)
+        with pytest.raises(InputError, match="damaged"):
+            exr.read(tmp_path / "a.exr")
