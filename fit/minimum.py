@@ -213,7 +213,8 @@ def watched(search: Search, objective: Objective, start: Point, budget: Budget) 
 def _ending(search: Search, watch: Watch, start: Point) -> Ending:
     try:
         if start.size == 0:
-            watch.evaluate(start)
+            with suppress(OutOfBudget):  # one evaluation is what there is to do, and it is done
+                watch.evaluate(start)
             return Ending("nothing to search", converged=True)
         ending = search(watch, watch.finite_start(start))
     except OutOfBudget as stop:

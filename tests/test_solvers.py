@@ -272,10 +272,11 @@ def test_search_cut_short_at_the_minimum_has_converged(name: str) -> None:
     assert found.converged
 
 
+@pytest.mark.parametrize("budget", [Budget(), Budget(evaluations=1), Budget(seconds=0.0)], ids=repr)
 @pytest.mark.parametrize("name", [*LOCAL, *GLOBAL])
-def test_nothing_to_search_is_one_evaluation(name: str) -> None:
+def test_nothing_to_search_is_one_evaluation(name: str, budget: Budget) -> None:
     problem = Problem(lambda _: torch.tensor([3.0, 4.0], dtype=torch.float64), 0)
-    found = solver(name)(problem, problem.start, Budget())
+    found = solver(name)(problem, problem.start, budget)
     assert (found.loss, found.evaluations, found.converged) == (12.5, 1, True)
 
 
