@@ -25,6 +25,7 @@ from jaxtyping import Float, Shaped
 from diffrender.colour import REC709, rec709_from
 from fit.input_error import InputError
 from fit.limits import check_packing, check_size
+from fit.path_text import path_text
 from fit.whole_file import whole_file
 
 LARGEST_BYTES = 2_200_000_000  # of all channels of all parts, for OpenEXR reads a file whole
@@ -123,7 +124,7 @@ def write(path: Path, parts: Mapping[str, Mapping[str, Values | Radiance]], meta
     with whole_file(path) as aside:
         try:
             with OpenEXR.File([OpenEXR.Part(dict(header), chans, name) for name, chans in contiguous.items()]) as file:
-                file.write(str(aside))
+                file.write(path_text(aside))
         except RuntimeError as error:
             raise OSError(str(error).rpartition('". ')[2].rstrip(".")) from error
 
@@ -181,8 +182,9 @@ def bands(height: int) -> Iterator[slice]:
 
 def _parts(path: Path, *, header_only: bool) -> list[tuple[dict[str, Any], dict[str, Values]]]:
     """Header and channels of each part."""
+    text = path_text(path)
     try:
-        with _silence(), OpenEXR.File(str(path), separate_channels=True, header_only=header_only) as file:
+        with _silence(), OpenEXR.File(text, separate_channels=True, header_only=header_only) as file:
             parts = [(_header(part), {n: c.pixels for n, c in part.channels.items()}) for part in file.parts]
     except FAULTS as error:
         raise _damaged(path) from error

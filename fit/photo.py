@@ -23,6 +23,7 @@ from diffrender.colour import REC709
 from fit import exr
 from fit.input_error import InputError
 from fit.limits import check_packing, check_size
+from fit.path_text import path_text
 
 PROJECTIONS = {
     "equirectangular": "2:1, or 4:1 for the upper half",
@@ -282,7 +283,7 @@ def _read_radiance(path: Path) -> exr.Picture:
 
 
 def _radiance_pixels(path: Path, shape: tuple[int, int, int]) -> Float[np.ndarray, "height width 3"]:
-    reader = OpenImageIO.ImageInput.open(str(path))
+    reader = OpenImageIO.ImageInput.open(path_text(path))
     if reader is None:
         OpenImageIO.geterror()  # an error that nobody fetched is printed when the program ends
         raise _damaged(path)

@@ -15,6 +15,7 @@ from diffrender.rays import Camera, Cubemap, Equirectangular, Perspective
 from fit import keyframes, picture, png, report, weather_file
 from fit.exr import bands
 from fit.input_error import InputError
+from fit.path_text import path_text
 from fit.photo import Photo
 from fit.shot import Shot
 from fit.solution import Solution
@@ -31,7 +32,8 @@ def folder(out: Path | None, photo: Path) -> Path:
     Raises:
         InputError: when it is seen to be no folder that can be written to.
     """
-    place = out or Path("tuned") / photo.stem
+    # Of "...exr" the stem is "..", which would be the folder above.
+    place = out or Path("tuned") / (photo.stem if photo.stem.strip(".") else photo.name)
     try:
         nearest = next(path for path in (place, *place.parents) if path.exists())
     except OSError as error:
@@ -40,6 +42,7 @@ def folder(out: Path | None, photo: Path) -> Path:
         raise InputError(f"{nearest} is not a folder; give another --out")
     if not os.access(nearest, os.W_OK | os.X_OK):
         raise InputError(f"{nearest} may not be written to; give another --out")
+    path_text(place)
     return place
 
 
@@ -110,7 +113,8 @@ def summary(place: Path, solution: Solution) -> str:
             lines.append(f"  {name:<30} {report.measured(fitted.value, fitted.standard_error)}{unit}")
         elif fitted.why not in ("default", "kept"):
             lines.append(f"  {name:<30} {report.number(fitted.value, 4)}{unit} ({fitted.why})")
-    return "\n".join([*lines, f"written to {place}"])
+    lines.append(f"written to {place}")
+    return "\n".join(line.replace("\n", "?") for line in lines)  # names of files may hold line ends
 
 
 def _origin(solution: Solution) -> dict[str, str]:

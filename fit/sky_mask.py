@@ -22,6 +22,7 @@ from scipy.spatial import cKDTree
 
 from diffrender.rays import Camera, Cubemap, Equirectangular
 from fit.input_error import InputError
+from fit.path_text import path_text
 from fit.photo import Photo
 from fit.solution import SunPlace
 from fit.sun import Reduced, reduced, to_sun
@@ -92,7 +93,7 @@ def _pixels(path: Path) -> UInt8[np.ndarray, "height width channels"]:
     # What is damaged is refused here already, because libpng prints a line of its own.
     if not _is_whole(path.read_bytes()):
         raise _damaged(path)
-    reader = OpenImageIO.ImageInput.open(str(path))
+    reader = OpenImageIO.ImageInput.open(path_text(path))
     if reader is None:
         OpenImageIO.geterror()  # an error that nobody fetched is printed when the program ends
         raise _damaged(path)

@@ -1,12 +1,17 @@
 """Several files that are written together or not at all: aside, in the folder itself, then renamed."""
 
+import re
 import secrets
 import shutil
+import time
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from fit.input_error import InputError
+
+ASIDE = re.compile(r"\.[0-9a-f]{16}\.part")
+STALE = 3600.0  # seconds without a new file in it, after which a folder aside is what a killed run has left
 
 
 @contextmanager
@@ -15,7 +20,8 @@ def whole_folder(folder: Path, last: str) -> Iterator[Path]:
 
     Files of the same names are replaced, the one named `last` after all others; other files stay. When the block
     raises, `folder` is as it was, and not there if it was not. The block should do nothing but write: an OSError in it
-    is taken as the disk's, and becomes an InputError.
+    is taken as the disk's, and becomes an InputError. What a run that was killed an hour ago or earlier has left aside
+    is removed.
 
     Raises:
         InputError: when a file or the folder cannot be written.
@@ -25,6 +31,7 @@ def whole_folder(folder: Path, last: str) -> Iterator[Path]:
     try:
         made = [path for path in (folder, *folder.parents) if not path.exists()]
         aside.mkdir(parents=True)
+        _clear(folder)
         yield aside
         files = sorted(aside.iterdir(), key=lambda file: file.name == last)
         for place in (folder / file.name for file in files):
@@ -45,3 +52,11 @@ def whole_folder(folder: Path, last: str) -> Iterator[Path]:
         for path in made:
             with suppress(OSError):
                 path.rmdir()
+
+
+def _clear(folder: Path) -> None:
+    for left in folder.iterdir():
+        if ASIDE.fullmatch(left.name):
+            with suppress(OSError):  # another run may be removing it too
+                if time.time() - left.lstat().st_mtime > STALE:
+                    shutil.rmtree(left)

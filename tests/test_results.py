@@ -149,6 +149,12 @@ def test_results_go_into_a_folder_of_the_photo_s_name(tmp_path, monkeypatch):
     assert not any(tmp_path.iterdir())
 
 
+@pytest.mark.parametrize("name", ["..exr", "...exr", "....exr"])
+def test_no_name_of_a_photo_leads_out_of_the_folder(tmp_path, monkeypatch, name):
+    monkeypatch.chdir(tmp_path)
+    assert results.folder(None, Path(name)) == Path("tuned") / name
+
+
 def test_a_folder_that_is_none_is_refused_before_the_fit(tmp_path):
     (tmp_path / "file").write_bytes(b"")
     for place in (tmp_path / "file", tmp_path / "file" / "below", tmp_path / "file" / "far" / "below"):

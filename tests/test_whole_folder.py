@@ -99,6 +99,32 @@ def test_the_error_names_the_file_by_its_own_place(tmp_path):
     assert ".part" not in str(caught.value)
 
 
+KILLED = """
+import os, signal, sys
+from pathlib import Path
+from fit.whole_file import write_bytes
+from fit.whole_folder import whole_folder
+with whole_folder(Path(sys.argv[1]), last="b") as aside:
+    write_bytes(aside / "a", b"after")
+    os.kill(os.getpid(), signal.SIGKILL)
+"""
+
+
+def test_what_a_killed_run_leaves_does_not_stay(tmp_path):
+    (tmp_path / "a").write_bytes(b"before")
+    mine = tmp_path / ".mine.part"
+    mine.mkdir()
+    subprocess.run([sys.executable, "-c", KILLED, str(tmp_path)], check=False)
+    left = next(path for path in tmp_path.iterdir() if path.name not in ("a", ".mine.part"))
+    assert (tmp_path / "a").read_bytes() == b"before"
+    write(tmp_path, c=b"1")
+    assert left.exists()  # it might be another run's, at work right now
+    for path in (left, mine):
+        os.utime(path, (0, 0))
+    write(tmp_path, c=b"2")
+    assert names(tmp_path) == [".mine.part", "a", "c"]
+
+
 FULL_DISK = """
 import resource, sys
 from pathlib import Path
