@@ -11,7 +11,6 @@ status 2, one line on standard error and no file.
 import argparse
 import shutil
 import tempfile
-from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -29,7 +28,8 @@ from fit import exr
 
 PHOTO = Path(__file__).parent / "photos" / "spruit_sunrise.exr"
 MOST_SECONDS, MOST_MEMORY = 10.0, 10**9  # of the processor, and bytes
-EVERY = 20  # one fit out of so many is not cut short
+SAVED = 500  # cases after which the record is written
+EVERY = 50  # one fit out of so many is not cut short
 REFUSED, WRITTEN = 2, (0, 1)  # exit statuses
 
 
@@ -140,19 +140,21 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--out", type=Path, default=RESULTS, help="folder of the results")
     asked = parser.parse_args(arguments)
+    verdicts: list[Verdict] = []
     with tempfile.TemporaryDirectory() as name:
-        verdicts = []
         for verdict in _verdicts(Path(name), asked.files, asked.count, asked.seed):
             verdicts.append(verdict)
             if verdict.fault or verdict.has_holes:
                 print(f"{verdict.case}: {verdict.fault or 'fitted with holes'}", flush=True)
+            if len(verdicts) % SAVED == 0:  # hours may be lost else
+                write(asked.out / "hostile_files.json", {"seed": asked.seed, **_summary(verdicts)})
     write(asked.out / "hostile_files.json", {"seed": asked.seed, **_summary(verdicts)})
-    kinds = Counter(verdict.kind for verdict in verdicts)
-    rows = [
-        [kind, *(str(sum(v.kind == kind and hold(v) for v in verdicts)) for hold in (_is_written, _is_refused, _fails))]
-        for kind in kinds
-    ]
-    print(table(["files", "fitted or drawn", "refused", "fault"], rows))
+    judged = {"fitted or drawn": _is_written, "refused": _is_refused, "fault": _fails}
+    rows = []
+    for kind in dict.fromkeys(verdict.kind for verdict in verdicts):
+        some = [verdict for verdict in verdicts if verdict.kind == kind]
+        rows.append([kind, str(len(some)), *(str(sum(map(holds, some))) for holds in judged.values())])
+    print(table(["kind", "files", *judged], rows))
 
 
 def _verdicts(folder: Path, files: Path | None, count: int, seed: int) -> Iterator[Verdict]:
@@ -166,9 +168,12 @@ def _verdicts(folder: Path, files: Path | None, count: int, seed: int) -> Iterat
         judge = Judge(server, folder, good)
         if files is not None:
             yield from given_cases(judge, files)
-        for is_weather in (False, True):
-            chosen = [sample for sample in samples if sample.is_weather == is_weather]
-            yield from damaged_cases(judge, chosen, folder, count // 2, seed)
+        photos, weather = (
+            damaged_cases(judge, [s for s in samples if s.is_weather == is_weather], folder, count // 2, seed)
+            for is_weather in (False, True)
+        )
+        for pair in zip(photos, weather, strict=True):
+            yield from pair
 
 
 def _is_written(verdict: Verdict) -> bool:
