@@ -1,7 +1,8 @@
 """How far each rung of an effect is from its reference, and what it costs.
 
 Errors are those of float32 at the defaults, on the effect's examples, where the hard cases are, and on a small picture.
-Times are processor times of one thread on a larger picture: what a rung prepares apart from what it draws, eager and compiled; all
+Times are processor times of one thread on a larger picture: what a rung prepares apart from what it draws, eager and
+compiled; all
 rungs and a copy of the picture's bytes take turns, and ratios are taken within a turn.
 """
 

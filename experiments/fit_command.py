@@ -102,10 +102,22 @@ def fit_sky(photo: Path, mask: Path, sun: tuple[float, float], out: Path) -> Fit
     Raises:
         RuntimeError: when the command fails.
     """
+    return _fitted(photo, ["--mask", str(mask), "--sun", f"{sun[0]},{sun[1]}"], out)
+
+
+def fit_sky_alone(photo: Path, out: Path) -> FitRun:
+    """The same by a command that is told nothing but the photo.
+
+    Raises:
+        RuntimeError: when the command fails.
+    """
+    return _fitted(photo, [], out)
+
+
+def _fitted(photo: Path, told: Sequence[str], out: Path) -> FitRun:
     account = out / "fit.json"
     account.unlink(missing_ok=True)  # an earlier fit's, which a crash would leave standing
-    place = f"{sun[0]},{sun[1]}"
-    process = run([*COMMAND, str(photo), "--mask", str(mask), "--sun", place, "--out", str(out), "--quiet"])
+    process = run([*COMMAND, str(photo), *told, "--out", str(out), "--quiet"])
     # Python also ends with status 1 when it crashes; a fit has written its files.
     if process.status not in (0, DID_NOT_CONVERGE) or not account.exists():
         raise RuntimeError(process.failure)

@@ -2,17 +2,23 @@
 
 import json
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from numpy.typing import NDArray
 
 MUST = 0.45  # largest geometric mean of the errors over those of the better peer
 COVERED = {"within_one": (0.63, 0.73), "within_two": (0.92, 0.97)}  # shares of intervals that are to hold the truth
 FEWEST = 30  # intervals below which a share says nothing
 MUST_BE_FASTER = 4.0  # least ratio of a peer's solve time to ours
+MUST_BE_NEAR = 1.2  # largest error of a fit without help over that of one with mask and sun
+
+Picture = NDArray[np.float64]
+Mask = NDArray[np.bool_]
 
 
 def fit_accuracy(path: Path) -> None:
@@ -176,3 +182,41 @@ def pruning(path: Path) -> None:
     axes.invert_yaxis()
     figure.legend(loc="outside upper center", ncols=5, fontsize="small")
     figure.savefig(path.with_suffix(".png"), dpi=120)
+
+
+def automatic_mask(path: Path) -> None:
+    """Errors of fits without help over those with mask and sun, beside the overlap of the masks."""
+    rows = json.loads(path.read_text(encoding="utf-8"))["records"]
+    places = range(len(rows))
+    figure = Figure(figsize=(9.0, 1.5 + 0.3 * len(rows)), layout="constrained")
+    errors, overlap = figure.subplots(1, 2, sharey=True)
+    errors.barh(places, [row["ratio"] for row in rows])
+    errors.axvline(MUST_BE_NEAR, color="red", linestyle=":", label="largest allowed")
+    errors.set(
+        yticks=list(places),
+        yticklabels=[row["photo"] for row in rows],
+        xlabel="E3 without help / with mask and sun",
+    )
+    errors.legend(fontsize="small")
+    overlap.barh(places, [row["fair_iou"] for row in rows])
+    overlap.set(xlim=(0.0, 1.0), xlabel="intersection of masks / union")
+    errors.invert_yaxis()
+    figure.savefig(path.with_suffix(".png"), dpi=120)
+
+
+def masks(shown: Mapping[str, tuple[Picture, Mask, Mask]], path: Path) -> None:
+    """Sheet of the upper halves of photos with given and found masks over them, beside an experiment's JSON."""
+    lines = math.ceil(len(shown) / 2)
+    figure = Figure(figsize=(12.0, 0.4 + 1.9 * lines), layout="constrained")
+    axes = figure.subplots(lines, 2, squeeze=False)
+    for place in axes.flat:
+        place.set_axis_off()
+    for place, (name, (photo, given, found)) in zip(axes.flat, shown.items(), strict=False):
+        tint = np.zeros_like(photo)
+        tint[given & found], tint[found & ~given], tint[given & ~found] = (0, 1, 0), (1, 0, 1), (1, 0.5, 0)
+        share = np.where(given | found, 0.35, 0.0)[..., None]
+        upper = slice(0, len(photo) // 2 + len(photo) // 20)
+        place.imshow(((1.0 - share) * photo + share * tint)[upper])
+        place.set_title(name, fontsize="small")
+    figure.suptitle("green: in both masks; magenta: found only; orange: given only", fontsize="small")
+    figure.savefig(path.with_name("automatic_masks.png"), dpi=80)

@@ -2,7 +2,7 @@
 
 import argparse
 import csv
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -16,7 +16,7 @@ class Shot:
     """One photo, and what is known of it.
 
     Attributes:
-        sun: elevation and azimuth to the right of the centre, in degrees.
+        sun: elevation and azimuth to the right of the centre, in degrees; where it is not seen, the brightest place.
         eps: by which the peers' errors were measured.
         mitsuba_error: E3 of Mitsuba's sunsky with the sun at its place.
         lalonde_matthews_error: E3 of the sky of Lalonde and Matthews, likewise.
@@ -28,6 +28,7 @@ class Shot:
     eps: float
     mitsuba_error: float
     lalonde_matthews_error: float
+    is_sun_visible: bool
 
     @property
     def name(self) -> str:
@@ -50,7 +51,7 @@ class Given:
 
 
 def read_shots(photos: Path, masks: Path, peers: Path) -> tuple[Shot, ...]:
-    """Photos of a folder in which the sun is seen, in the order of the peers' table, as far as that knows them."""
+    """Photos of a folder, in the order of the peers' table, as far as that knows them."""
     with peers.open(encoding="utf-8", newline="") as lines:
         return tuple(
             Shot(
@@ -60,14 +61,20 @@ def read_shots(photos: Path, masks: Path, peers: Path) -> tuple[Shot, ...]:
                 eps=float(row["eps"]),
                 mitsuba_error=float(row["mitsuba_fixed_E3"]),
                 lalonde_matthews_error=float(row["lm_fixed_E3"]),
+                is_sun_visible=row["sun_visible"] == "True",
             )
             for row in csv.DictReader(lines)
-            if row["sun_visible"] == "True" and (photos / row["file"]).exists()
+            if (photos / row["file"]).exists()
         )
 
 
-def ask(about: str, arguments: Sequence[str] | None) -> Given:
-    """Shots and size from a command line; the smallest size is the first shot alone."""
+def has_sun(shot: Shot) -> bool:
+    """Whether the sun is seen, without which the peers cannot be given its place."""
+    return shot.is_sun_visible
+
+
+def ask(about: str, arguments: Sequence[str] | None, suits: Callable[[Shot], bool] = has_sun) -> Given:
+    """Shots that suit and size from a command line; the smallest size is the first shot alone."""
     parser = argparse.ArgumentParser(description=about)
     parser.add_argument("names", nargs="*", help="photos without their endings; all where none is named")
     parser.add_argument("--photos", type=Path, required=True, help="folder of the photos")
@@ -76,11 +83,12 @@ def ask(about: str, arguments: Sequence[str] | None) -> Given:
     parser.add_argument("--size", choices=("small", "full"), default="full")
     parser.add_argument("--out", type=Path, default=RESULTS, help="folder of the results")
     asked = parser.parse_args(arguments)
-    found = read_shots(asked.photos, asked.masks or asked.photos / MASKS, asked.peers or asked.photos / PEERS)
+    known = read_shots(asked.photos, asked.masks or asked.photos / MASKS, asked.peers or asked.photos / PEERS)
+    found = [shot for shot in known if suits(shot)]
     unknown = sorted(set(asked.names) - {shot.name for shot in found})
     if unknown or not found:
         parser.error(
-            f"no {', '.join(unknown) or 'photo'} with a seen sun in {asked.photos}; known: "
+            f"no {', '.join(unknown) or 'photo'} that suits in {asked.photos}; known: "
             f"{', '.join(shot.name for shot in found) or 'none'}"
         )
     chosen = tuple(shot for shot in found if not asked.names or shot.name in asked.names)

@@ -104,8 +104,8 @@ def summary(place: Path, solution: Solution) -> str:
     lines = [
         f"{solution.photo}: mean square error of log radiance {solution.error:.4f}, {state}",
         *(f"  {note}" for note in solution.notes),
-        f"  sun {report.number(sun.elevation)} degrees high, "
-        f"{report.number(sun.azimuth)} to the right of the middle: {sun.how}",
+        f"  sun {_angle(sun.elevation, sun.elevation_standard_error)} degrees high, "
+        f"{_angle(sun.azimuth, sun.azimuth_standard_error)} to the right of the middle: {sun.how}",
     ]
     for name, fitted in solution.parameters.items():
         unit = "" if fitted.unit == "1" else f" {fitted.unit}"
@@ -115,6 +115,10 @@ def summary(place: Path, solution: Solution) -> str:
             lines.append(f"  {name:<30} {report.number(fitted.value, 4)}{unit} ({fitted.why})")
     lines.append(f"written to {place}")
     return "\n".join(line.replace("\n", "?") for line in lines)  # names of files may hold line ends
+
+
+def _angle(degrees: float, error: float | None) -> str:
+    return report.number(degrees) if error is None else report.measured(degrees, error)
 
 
 def _origin(solution: Solution) -> dict[str, str]:

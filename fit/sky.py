@@ -15,7 +15,7 @@ from diffrender.atmosphere import celestial, sky
 from diffrender.colour import luminance
 from diffrender.parameters import specifications
 from diffrender.scene import Scene, places, sky_view, weather_names
-from fit import keyframes, sky_mask, sun
+from fit import hidden_sun, keyframes, night, sky_mask, sun
 from fit import photo as photos
 from fit.input_error import InputError
 from fit.minimum import INTERRUPTED, Budget, Minimum, Point
@@ -25,7 +25,7 @@ from fit.pixels import Pixels, averaged, stratified, usable
 from fit.search_space import SearchSpace, value
 from fit.selection import begin, left_open, pinned_scene, undetermined, widened
 from fit.solution import Fitted, Solution, SunPlace
-from fit.solvers import Minimise, solver
+from fit.solvers import solver
 from fit.uncertainty import Uncertainty, evidence, uncertainty
 from fit.weather_file import check
 
@@ -61,7 +61,8 @@ COARSE = sky.Size(rows=14, columns=3, steps=10, heights=5, suns=8, steps_around=
 FINE = sky.Size(rows=16, columns=5, steps=24, heights=6, suns=8, steps_around=6)  # of its last ones
 # Twice these pixels, tables of twice the cells and tighter tolerances change the error by less than 1 %.
 COARSE_PIXELS, FINE_PIXELS = 400, 1200
-ROUGH_TOLERANCE, FINE_TOLERANCE = 3e-3, 1e-3  # of the loss
+ROUGH_BUDGET, FINE_BUDGET = Budget(tolerance=3e-3), Budget(tolerance=1e-3)
+LATE_BUDGET = Budget(tolerance=3e-4, evaluations=60)  # of what is searched on top of what was found
 
 
 @dataclass(frozen=True)
@@ -100,6 +101,8 @@ def fit(photo: Photo | Path, options: Options | None = None) -> Solution:
     solver(options.solver)  # whose name is asked for before the photo is read
     photo = photo if isinstance(photo, Photo) else photos.read(photo)
     place = sun.checked(photo, options.sun) if options.sun else sun.find(photo)
+    if options.sun is None or options.mask is None:
+        night.refuse(photo, place)
     mask = sky_mask.read(options.mask, photo) if options.mask else sky_mask.find(photo, place)
     used = usable(photo, mask.used)
     pixels = averaged(photo, used)
@@ -118,7 +121,7 @@ def fit(photo: Photo | Path, options: Options | None = None) -> Solution:
         parameters=found.parameters,
         correlated=tuple(space.free[index] for index in kept),
         correlation=known.correlation[np.ix_(kept, kept)],
-        sun=_sun_place(place, found.scene, space),
+        sun=hidden_sun.place(place, found.parameters, space.free),
         gains=_gains(found.scene),
         used=used,
         pixels={"used": int(used.sum()), "masked": used.size - int(used.sum()), **photo.counts()},
@@ -146,24 +149,17 @@ class Solved:
 
 
 def solve(pixels: Pixels, place: SunPlace, options: Options) -> Solved:
-    """Scene whose sky looks like some pixels, under a sun; of the options, mask and sun are not used.
+    """Scene whose sky looks like some pixels, under a sun, which is searched too where its place is but a guess.
 
     Raises:
         InputError: when an option cannot be used.
     """
-    found = _search(_home(options, place), pixels, options, solver(options.solver))
+    is_guess = options.sun is None and not place.visible
+    late = tuple(name for name in hidden_sun.NAMES if is_guess and name not in options.free)
+    found = _search(_home(options, place), pixels, options, late)
     scene, error, known = _account(found.objective, pixels, found, options)
     parameters = _parameters(scene, found, known, options)
     return Solved(found.objective.space, found.minimum, found.pinned, scene, error, known, parameters)
-
-
-def _sun_place(place: SunPlace, scene: Scene, space: SearchSpace) -> SunPlace:
-    """Sun's place as it was known before, or where the fit has moved it."""
-    if not any(name.startswith("SUN_") for name in space.free):
-        return place
-    values = keyframes.values(scene)
-    how = f"fitted; begun {place.how}"
-    return replace(place, elevation=values["SUN_ELEVATION"], azimuth=values["SUN_AZIMUTH"], how=how)
 
 
 def _check(pixels: Pixels) -> None:
@@ -210,11 +206,11 @@ class _Found:
     pinned: Mapping[str, str]  # names that were searched in vain, and why
 
 
-def _search(home: Scene, pixels: Pixels, options: Options, minimise: Minimise) -> _Found:
+def _search(home: Scene, pixels: Pixels, options: Options, late: tuple[str, ...]) -> _Found:
     """Where the last stage of a search ended, with the account of all of them; what Ctrl-C leaves is said so."""
     found: list[_Found] = []
     try:
-        for stage in _stages(home, pixels, options, minimise):
+        for stage in _stages(home, pixels, options, late):
             found.append(stage)
             if stage.minimum.reason == INTERRUPTED:
                 break
@@ -233,30 +229,49 @@ def _search(home: Scene, pixels: Pixels, options: Options, minimise: Minimise) -
     return replace(found[-1], minimum=whole)
 
 
-def _stages(home: Scene, pixels: Pixels, options: Options, minimise: Minimise) -> Iterator[_Found]:
-    """Minimum on few pixels and coarse tables; again without what the photo leaves open; polished on more and finer."""
+def _stages(home: Scene, pixels: Pixels, options: Options, late: tuple[str, ...]) -> Iterator[_Found]:
+    """Minimum on few pixels and coarse tables; again without what the photo leaves open; polished on more and finer.
+
+    What is searched late comes on top, from there.
+    """
     began = time.monotonic()
+    minimise = solver(options.solver)
 
-    def solve(objective: SkyObjective, start: Point, tolerance: float) -> Minimum:
+    def search(objective: SkyObjective, start: Point, budget: Budget) -> Minimum:
         left = None if options.seconds is None else max(options.seconds - (time.monotonic() - began), 0.0)
-        return minimise(objective, start, Budget(seconds=left, seed=options.seed, tolerance=tolerance))
+        return minimise(objective, start, replace(budget, seconds=left, seed=options.seed))
 
-    space = _space(options, home)
-    rough = _objective(space, pixels, COARSE_PIXELS, COARSE, options.seed)
-    first = last = solve(rough, begin(space), ROUGH_TOLERANCE)
-    yield _Found(rough, first, {})
+    tried = []
+    for start in hidden_sun.starts(home) if late else [home]:
+        space = _space(options, start)
+        rough = _objective(space, pixels, COARSE_PIXELS, COARSE, options.seed)
+        tried.append((search(rough, begin(space), ROUGH_BUDGET), rough, start))
+        yield _Found(rough, tried[-1][0], {})
+    first, rough, home = min(tried, key=lambda one: one[0].loss)
+    last = first
     kept, wider, pinned = _reselected(rough, first.point, home, options)
     if pinned:
         rough = replace(rough, space=wider)
-        last = solve(rough, begin(wider), ROUGH_TOLERANCE)
+        last = search(rough, begin(wider), ROUGH_BUDGET)
         yield _Found(rough, last, pinned)
     if last.loss > first.loss:
         # Others in their place led to a worse minimum.
         rough = replace(rough, space=kept)
-        last = solve(rough, kept.point(kept.start), ROUGH_TOLERANCE)
+        last = search(rough, kept.point(kept.start), ROUGH_BUDGET)
         yield _Found(rough, last, pinned)
     fine = _objective(rough.space, pixels, FINE_PIXELS, FINE, options.seed + 1)
-    yield _Found(fine, solve(fine, last.point, FINE_TOLERANCE), pinned)
+    last = search(fine, last.point, FINE_BUDGET)
+    yield _Found(fine, last, pinned)
+    if late:
+        space = fine.space
+        wider = SearchSpace(space.scene(torch.from_numpy(last.point)), (*space.free, *late))
+        with_late = replace(fine, space=wider, geometry=_geometry(wider, FINE))
+        moved = search(with_late, wider.point(wider.start), LATE_BUDGET)
+        if why := hidden_sun.why_not(wider, moved.point, left_open(with_late, moved.point)):
+            stays = replace(last, history=moved.history, iterations=moved.iterations, evaluations=moved.evaluations)
+            yield _Found(fine, stays, {**pinned, **dict.fromkeys(late, why)})
+        else:
+            yield _Found(with_late, moved, pinned)
 
 
 def _reselected(
@@ -390,7 +405,7 @@ def _unsearched(name: str, options: Options) -> str:
     if name.startswith(("EXPOSURE", "SUN_IRRADIANCE")):
         return "closed form"
     if name.startswith("SUN_"):
-        return "given" if options.sun else "seen in the photo"
+        return "given" if options.sun else "taken from the photo"
     return "kept" if options.start is not None else "default"
 
 

@@ -1,8 +1,9 @@
 """Which pixels are sky: painted by the user, or found in the picture.
 
 The automatic mask takes cells of a coarse picture that are quiet, that is, whose luminance differs little from that of
-their neighbours, and of those the largest connected patch that reaches the top of the picture. Clouds with hard edges
-stay outside it; so does what they cut off.
+their neighbours, and of those the largest connected patch that reaches the top of the picture. Other quiet patches, cut
+off by clouds or seen through trees, join it where they look like one smooth sky with it. Clouds with hard edges stay
+outside.
 """
 
 import math
@@ -14,8 +15,8 @@ from pathlib import Path
 import numpy as np
 import OpenImageIO
 import torch
-from jaxtyping import Bool, Int, UInt8
-from scipy.ndimage import binary_erosion
+from jaxtyping import Bool, Float, Int, UInt8
+from scipy.ndimage import binary_erosion, median
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
@@ -24,6 +25,7 @@ from diffrender.rays import Camera, Cubemap, Equirectangular
 from fit.input_error import InputError
 from fit.path_text import path_text
 from fit.photo import Photo
+from fit.smooth_sky import smooth_sky
 from fit.solution import SunPlace
 from fit.sun import Reduced, reduced, to_sun
 
@@ -36,6 +38,8 @@ LARGEST_STEP = 0.12  # of log luminance between neighbouring cells of sky, 0.7 d
 LEAST_KNOWN = 0.5  # share of a cell's pixels
 TOP = 0.1  # share of the elevations above LOWEST, from the highest down, where sky is sure to be
 LEAST_SKY = 0.002  # share of what the picture shows above the horizon
+ROOF = 20.0  # times as bright as the patch at the top another must be to show that there is a roof: clouds reach 6, day
+# outside a barn 66
 
 
 @dataclass(frozen=True, eq=False)
@@ -128,9 +132,9 @@ def _damaged(path: Path) -> InputError:
 
 
 def find(photo: Photo, sun: SunPlace) -> Mask:
-    """Mask of the quiet sky, without what is low or near the sun.
+    """Mask of the quiet sky, without what is low or near a sun that is seen.
 
-    Where no quiet patch reaches the top of the picture, under a roof or a tree, it is the largest one.
+    Where no quiet patch reaches the top of the picture, or one that does is a roof, it is the largest one that is sky.
 
     Raises:
         InputError: when there is no such sky.
@@ -140,18 +144,60 @@ def find(photo: Photo, sun: SunPlace) -> Mask:
     known = (cells.usable > LEAST_KNOWN) & (cells.luminance > 0.0)
     may_be_sky = (elevation > LOWEST) & known.numpy()
     patch = _patches(cells, photo.camera, may_be_sky)
-    from_sun = torch.linalg.vector_norm(cells.direction - to_sun(sun), dim=-1).numpy()
-    inside = _eroded(patch > 0, photo.camera) & (from_sun > 2.0 * math.sin(SUN_GLARE / 2.0))
-    size = np.bincount(patch[inside], cells.solid_angle.numpy()[inside], patch.max() + 1)
-    least = LEAST_SKY * float(cells.solid_angle[cells.direction[..., 2] > 0.0].sum())
+    inside = _eroded(patch > 0, photo.camera)
+    if sun.visible:
+        from_sun = torch.linalg.vector_norm(cells.direction - to_sun(sun), dim=-1).numpy()
+        inside &= from_sun > 2.0 * math.sin(SUN_GLARE / 2.0)
+    patch[~inside] = 0
     highest = elevation.max(where=may_be_sky, initial=LOWEST)
-    at_top = np.append(patch[elevation >= highest - TOP * (highest - LOWEST)], 0)
-    chosen, how = at_top[size[at_top].argmax()], "quiet, and connected to the top of the picture"
-    if size[chosen] <= least:
-        chosen, how = size.argmax(), "the largest quiet patch, as none reaches the top of the picture; look at it"
-    if size[chosen] <= least:
+    sure, how = _surest(cells, patch, elevation >= highest - TOP * (highest - LOWEST))
+    if not sure:
         raise InputError(f"no sky found in {photo.path}; give --mask PNG, of the photo's size and white where sky is")
-    return Mask(_enlarged(inside & (patch == chosen), cells.side, photo.camera), f"sky found: {how}")
+    joined = _joined(photo, cells, patch, sure, to_sun(sun).numpy() if sun.visible else None)
+    return Mask(_enlarged(np.isin(patch, joined), cells.side, photo.camera), f"sky found: {how}")
+
+
+def _surest(
+    cells: Reduced, patch: Int[np.ndarray, "rows columns"], is_top: Bool[np.ndarray, "rows columns"]
+) -> tuple[int, str]:
+    """Number of the patch that is most surely sky, and how that is known; 0 where none is large enough."""
+    size = np.bincount(patch.ravel(), cells.solid_angle.numpy().ravel())
+    size[0] = 0.0
+    size[size <= LEAST_SKY * float(cells.solid_angle[cells.direction[..., 2] > 0.0].sum())] = 0.0
+    if not size.any():
+        return 0, ""
+    at_top = np.append(patch[is_top], 0)
+    chosen = at_top[size[at_top].argmax()]
+    if not size[chosen]:
+        return int(size.argmax()), "the largest quiet patch, as none reaches the top of the picture; look at it"
+    bright = np.append(0.0, median(cells.luminance.numpy(), patch, np.arange(1, len(size))))
+    outside = np.where(bright > ROOF * bright[chosen], size, 0.0)
+    if outside.any():
+        return int(outside.argmax()), "the largest quiet patch far brighter than the one at the top; look at it"
+    return int(chosen), "quiet, and connected to the top of the picture"
+
+
+def _joined(
+    photo: Photo,
+    cells: Reduced,
+    patch: Int[np.ndarray, "rows columns"],
+    sure: int,
+    sunward: Float[np.ndarray, "3"] | None,
+) -> list[int]:
+    """Numbers of the patches that look like one smooth sky with a sure one, in luminance and colour."""
+    chosen = patch > 0
+    if (patch[chosen] == sure).all():
+        return [sure]
+    rows, columns = (
+        np.minimum(np.arange(count) * cells.side + cells.side // 2, length - 1)
+        for count, length in zip(patch.shape, (photo.camera.height, photo.camera.width), strict=True)
+    )
+    # One pixel of each cell is enough for a patch's colour.
+    colour = np.maximum(photo.radiance[rows][:, columns][chosen].astype(np.float64), np.finfo(np.float32).tiny)
+    seen = np.log(np.stack([cells.luminance.numpy()[chosen], *colour[:, [0, 2]].T / colour[:, 1]], -1))
+    number = patch[chosen]
+    sky = smooth_sky(cells.direction.numpy()[chosen].astype(np.float64), seen, number == sure, sunward)
+    return [other for other in np.unique(number) if other == sure or sky.looks_like_sky(number == other)]
 
 
 def _patches(

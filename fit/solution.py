@@ -33,6 +33,8 @@ class SunPlace:
     azimuth: float
     how: str
     visible: bool
+    elevation_standard_error: float | None = None  # None where it was not searched or is not determined
+    azimuth_standard_error: float | None = None
 
 
 @dataclass(frozen=True)

@@ -14,6 +14,7 @@ import OpenImageIO
 import pytest
 
 from experiments import (
+    automatic_mask,
     coverage,
     enlarged,
     fit_accuracy,
@@ -39,17 +40,23 @@ import numpy as np, OpenEXR, OpenImageIO
 parser = argparse.ArgumentParser()
 parser.add_argument("photo")
 for name in ("--mask", "--sun", "--out"):
-    parser.add_argument(name, required=True)
+    parser.add_argument(name, required=name == "--out")
 parser.add_argument("--quiet", action="store_true")
 given = parser.parse_args()
-spec, mask = (OpenImageIO.ImageBuf(name).spec() for name in (given.photo, given.mask))
+assert (given.mask is None) == (given.sun is None)
+spec, mask = (OpenImageIO.ImageBuf(name).spec() for name in (given.photo, given.mask or given.photo))
 if (spec.width, spec.height) != (mask.width, mask.height):
     sys.exit("error: mask of another size")
 out = pathlib.Path(given.out)
 out.mkdir(parents=True, exist_ok=True)
 sky = np.full((spec.height, spec.width, 3), 0.25, np.float32)
 OpenEXR.File({}, {"RGB": sky}).write(str(out / "fitted.exr"))
-account = {"converged": True, "seconds": {"read": 1.0, "solve": 2.0, "write": 1.0}}
+white = np.zeros((spec.height, spec.width, 1), np.uint8)
+white[: spec.height // 4] = 255
+OpenImageIO.ImageBuf(white).write(str(out / "mask.png"))
+errors = {"elevation_standard_error": None, "azimuth_standard_error": 0.5}
+sun = {"elevation": 10.54, "azimuth": 36.99, "visible": False, **errors}
+account = {"converged": True, "sun": sun, "seconds": {"read": 1.0, "solve": 2.0, "write": 1.0}}
 (out / "fit.json").write_text(json.dumps(account))
 """
 
@@ -230,6 +237,23 @@ def test_harmonics_floor_writes_its_records(photos, tmp_path):
     assert {"machine", "versions", "commit", "date"} <= content.keys()
 
 
+# automatic_mask
+
+
+@pytest.mark.usefixtures("stand_in")
+def test_automatic_mask_in_its_smallest_size(photos, sky, tmp_path):
+    automatic_mask.main(["--photos", str(photos), "--size", "small", "--out", str(tmp_path)])
+    (row,) = json.loads((tmp_path / "automatic_mask.json").read_text())["records"]
+    found = np.zeros_like(sky.mask)
+    found[: sky.mask.shape[0] // 4] = True
+    assert row["iou"] == pytest.approx((found & sky.mask).sum() / (found | sky.mask).sum())
+    assert row["sun_apart"] == pytest.approx(math.cos(math.radians(SUN[0])), abs=1e-2)
+    assert row["ratio"] == 1.0  # the stand-in draws one sky whatever it is told
+    assert (row["sun_seen"], row["sun_seen_by_peers"], row["sun_errors"]) == (False, True, [None, 0.5])
+    assert (tmp_path / "automatic_mask.png").stat().st_size > 1000
+    assert (tmp_path / "automatic_masks.png").stat().st_size > 1000
+
+
 # shots
 
 
@@ -242,7 +266,7 @@ def test_shots_are_the_photos_that_are_there_with_the_better_peer(photos, shot):
 def test_an_unknown_photo_is_refused_with_the_known_ones(photos, capsys):
     with pytest.raises(SystemExit):
         shots.ask("", ["--photos", str(photos), "nowhere"])
-    assert f"no nowhere with a seen sun in {photos}; known: {NAME}" in capsys.readouterr().err
+    assert f"no nowhere that suits in {photos}; known: {NAME}" in capsys.readouterr().err
 
 
 # timing

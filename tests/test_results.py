@@ -18,7 +18,7 @@ from fit import keyframes, picture, report, results, weather_file
 from fit.input_error import InputError
 from fit.minimum import INTERRUPTED, Minimum
 from fit.shot import Shot
-from fit.solution import Fitted, Solution
+from fit.solution import Fitted, Solution, SunPlace
 
 FILES = ["fit.json", "fitted.exr", "mask.png", "report.html", "weather.csv"]
 SCENE = keyframes.scene(HAZY_MORNING, torch.float64)
@@ -199,6 +199,17 @@ def test_the_summary_says_what_was_found():
     assert "0.700 ± 0.012" in text
     assert "SKY_OZONE" not in text  # stands at its default
     assert text.endswith(str(tmp))
+
+
+def test_a_searched_sun_has_its_errors_in_account_report_and_summary(tmp_path):
+    sun = SunPlace(6.0, -100.0, "searched", visible=False, elevation_standard_error=0.25, azimuth_standard_error=1.5)
+    solution = made_up(sun=sun)
+    results.write(tmp_path / "out", PHOTO, solution, Shot())
+    account = json.loads((tmp_path / "out" / "fit.json").read_text())
+    assert (account["sun"]["elevation_standard_error"], account["sun"]["azimuth_standard_error"]) == (0.25, 1.5)
+    assert "standard errors 0.25° and 1.5°" in (tmp_path / "out" / "report.html").read_text("utf-8")
+    summary = results.summary(tmp_path, solution)
+    assert "sun 6.00 ± 0.25 degrees high, −100.0 ± 1.5 to the right of the middle: searched" in summary
 
 
 def test_the_summary_says_why_a_fit_did_not_converge():

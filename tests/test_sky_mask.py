@@ -2,6 +2,7 @@ import math
 import struct
 import zlib
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -159,6 +160,67 @@ def test_sky_beside_a_roof_is_the_largest_patch() -> None:
     assert mask.used.any()
     elevation, _ = rays.angles(directions(PANORAMA))
     assert not mask.used[(elevation > math.radians(60.0)).numpy()].any()
+
+
+def test_sky_seen_through_a_tree_is_used_and_a_plain_thing_in_it_is_not() -> None:
+    tree, gap, trunk = (SunPlace(45.0, azimuth, "", visible=False) for azimuth in (-90.0, -105.0, -75.0))
+    from_tree, from_gap, from_trunk = (
+        (directions(PANORAMA) - sun.to_sun(place)).norm(dim=-1) for place in (tree, gap, trunk)
+    )
+
+    def radiance(direction: Tensor) -> Tensor:
+        leaves = (from_tree < 0.4) & (from_gap > 0.12) & (from_trunk > 0.12)
+        seen = torch.where(from_trunk <= 0.12, 0.7 * sky(direction), sky(direction))
+        return torch.where(leaves, 0.1 * noise(direction), seen)
+
+    used = sky_mask.find(photo(PANORAMA, radiance), SUN).used
+    assert used[(from_gap < 0.05).numpy()].all()
+    assert not used[(from_trunk < 0.12).numpy()].any()
+
+
+@pytest.mark.parametrize("colour", [(1.0, 1.0, 1.0), (1.2, 0.95, 0.8)], ids=["of the sky", "of bricks"])
+def test_a_patch_as_bright_as_the_sky_joins_it_only_in_its_colour(colour: tuple[float, ...]) -> None:
+    from_patch = (directions(PANORAMA) - sun.to_sun(SunPlace(45.0, -90.0, "", visible=False))).norm(dim=-1).numpy()
+    shown = photo(PANORAMA, sky)
+    rim = (from_patch > 0.1) & (from_patch < 0.2)
+    shown.radiance[rim] *= noise(directions(PANORAMA))[torch.tensor(rim)].numpy()[:, None]
+    shown.radiance[from_patch <= 0.1] *= np.array(colour, np.float32)
+    inside = sky_mask.find(shown, SUN).used[from_patch < 0.05]
+    assert inside.all() if colour == (1.0, 1.0, 1.0) else not inside.any()
+
+
+def test_without_a_horizon_all_is_sky() -> None:
+    camera = rays.Perspective(240, 160, math.radians(60.0), math.radians(70.0))
+    hidden = replace(SUN, visible=False)
+    assert sky_mask.find(photo(camera, lambda direction: 2.0 - direction[..., 2]), hidden).used.all()
+
+
+def test_a_plain_roof_is_no_sky() -> None:
+    elevation, _ = rays.angles(directions(PANORAMA))
+    roof = elevation > math.radians(40.0)
+    mask = sky_mask.find(photo(PANORAMA, lambda direction: torch.where(roof, 0.03, sky(direction))), SUN)
+    assert "far brighter than the one at the top" in mask.how
+    assert not mask.used[roof.numpy()].any()
+    assert mask.used[(~roof & (elevation > math.radians(10.0)) & allowed(directions(PANORAMA))).numpy()].mean() > 0.9
+
+
+def test_a_mirrored_lower_half_is_not_used_and_changes_nothing() -> None:
+    shown = photo(PANORAMA, sky)
+    mirrored = Photo(shown.path, np.concatenate([shown.radiance[:64], shown.radiance[63::-1]]), PANORAMA, {}, (), None)
+    used = sky_mask.find(mirrored, SUN).used
+    assert np.array_equal(used, sky_mask.find(shown, SUN).used)
+    assert not used[64:].any()
+
+
+@pytest.mark.parametrize("elevation", [90.0, 86.0, 10.0])
+def test_glare_is_left_out_round_a_sun_that_is_seen_and_nowhere_else(elevation: float) -> None:
+    at = SunPlace(elevation, 40.0, "", visible=True)
+    shown = photo(PANORAMA, lambda direction: 2.0 - direction[..., 2])
+    from_sun = (directions(PANORAMA) - sun.to_sun(at)).norm(dim=-1).numpy()
+    seen, hidden = (sky_mask.find(shown, replace(at, visible=visible)).used for visible in (True, False))
+    assert not seen[from_sun < 0.139].any()
+    assert np.array_equal(seen[from_sun > 0.16], hidden[from_sun > 0.16])
+    assert hidden[from_sun < 0.05].all()
 
 
 @pytest.mark.parametrize("radiance", [noise, lambda direction: torch.zeros_like(direction[..., 2])])
