@@ -1,5 +1,3 @@
-import ast
-import csv
 import doctest
 import importlib
 import importlib.util
@@ -9,9 +7,8 @@ import sys
 from pathlib import Path
 
 import numpy as np
-import OpenEXR
-import OpenImageIO
 import pytest
+from shot_fixtures import NAME, SUN
 
 from experiments import (
     automatic_mask,
@@ -19,7 +16,6 @@ from experiments import (
     enlarged,
     fit_accuracy,
     fit_command,
-    harmonics_floor,
     log_error,
     mitsuba_sky,
     peer_time,
@@ -29,9 +25,9 @@ from experiments import (
     timing,
 )
 
+pytest_plugins = ["shot_fixtures"]
+
 ROOT = Path(__file__).parents[1]
-PHOTOS = ROOT / "experiments" / "photos"
-NAME, SUN = "rooitou_park", (10.54, 35.99)  # where it is seen, in degrees
 
 # Draws a sky of one colour as wide as the photo, and tells of a solve of 2 s.
 STAND_IN = """
@@ -61,34 +57,6 @@ account = {"converged": True, "sun": sun, "seconds": {"read": 1.0, "solve": 2.0,
 """
 
 
-@pytest.fixture(scope="module")
-def photos(tmp_path_factory):
-    """Folder with one photo, a mask of its sky above the trees and away from the sun, and a table of peers."""
-    folder = tmp_path_factory.mktemp("photos")
-    (folder / f"{NAME}.exr").symlink_to(PHOTOS / f"{NAME}.exr")
-    (folder / "masks").mkdir()
-    picture = log_error.read_picture(PHOTOS / f"{NAME}.exr")
-    seen = harmonics_floor.directions(np.ones(picture.shape[:2], dtype=bool))
-    elevation, to_right = np.radians(SUN)
-    to_sun = [math.cos(elevation) * math.cos(to_right), -math.cos(elevation) * math.sin(to_right), math.sin(elevation)]
-    is_sky = (seen[:, 2] > math.sin(math.radians(15.0))) & (seen @ to_sun < math.cos(math.radians(8.0)))
-    write_mask(folder / "masks" / f"{NAME}.png", is_sky.reshape(picture.shape[:2]))
-    row = {
-        "file": f"{NAME}.exr",
-        "sun_visible": "True",
-        "sun_elevation": SUN[0],
-        "sun_azimuth_right_of_centre": SUN[1],
-        "eps": 2e-4,
-        "mitsuba_fixed_E3": 0.03,
-        "lm_fixed_E3": 0.02,
-    }
-    with (folder / "PEERS.csv").open("w", newline="") as lines:
-        table = csv.DictWriter(lines, row)
-        table.writeheader()
-        table.writerows([row, row | {"file": "not_there.exr"}])
-    return folder
-
-
 @pytest.fixture
 def stand_in(tmp_path, monkeypatch):
     """A command in place of `fit sky`, so that only the experiment is tested."""
@@ -97,147 +65,10 @@ def stand_in(tmp_path, monkeypatch):
     monkeypatch.setattr(fit_command, "COMMAND", (sys.executable, str(script)))
 
 
-@pytest.fixture(scope="module")
-def shot(photos):
-    return shots.read_shots(photos, photos / "masks", photos / "PEERS.csv")[0]
-
-
-@pytest.fixture(scope="module")
-def sky(shot):
-    return log_error.sky_under(log_error.read_mask(shot.mask), log_error.read_picture(shot.photo), shot.eps)
-
-
-def write_mask(path, mask):
-    output = OpenImageIO.ImageBuf(np.where(mask, 255, 0).astype(np.uint8)[..., None].copy())
-    assert output.write(str(path))
-
-
-def picture_of(sky, radiance):
-    picture = np.zeros((*sky.mask.shape, 3))
-    picture[sky.mask] = radiance
-    return picture
-
-
 @pytest.mark.parametrize("path", sorted((ROOT / "experiments").glob("*.py")), ids=lambda path: path.stem)
 def test_examples_in_docstrings_hold(path):
     module = importlib.import_module("experiments" if path.stem == "__init__" else f"experiments.{path.stem}")
     assert doctest.testmod(module).failed == 0
-
-
-# log_error
-
-
-def test_the_judge_shares_no_code_with_the_judged():
-    tree = ast.parse(Path(log_error.__file__).read_text(encoding="utf-8"))
-    imported = {alias.name for node in ast.walk(tree) if isinstance(node, ast.Import) for alias in node.names}
-    imported |= {str(node.module) for node in ast.walk(tree) if isinstance(node, ast.ImportFrom)}
-    assert not {name.split(".")[0] for name in imported} & {"fit", "diffrender", "experiments"}
-
-
-def test_the_photo_itself_has_no_error_whatever_its_white_balance(shot, sky):
-    gains = np.array([0.5, 1.0, 3.0])
-    found = log_error.log_error(sky, log_error.read_picture(shot.photo) * gains)
-    assert found.error == pytest.approx(0.0, abs=1e-15)
-    assert found.gains == pytest.approx(tuple(1.0 / gains))
-
-
-def test_a_sky_of_one_colour_leaves_the_variance_of_log_radiance(sky):
-    mean = sky.weight @ sky.log_radiance
-    variance = float(np.mean(sky.weight @ (sky.log_radiance - mean) ** 2))
-    assert log_error.log_error(sky, np.ones((*sky.mask.shape, 3))).error == pytest.approx(variance)
-
-
-def test_no_gain_is_better_than_the_one_found(sky):
-    gradient = np.linspace(0.0, 1.0, sky.log_radiance.size).reshape(sky.log_radiance.shape)
-    found = log_error.log_error(sky, picture_of(sky, gradient))
-
-    def error(log_gain):
-        fitted = np.log(np.exp(log_gain) * gradient + sky.eps)
-        return float(np.mean(sky.weight @ (fitted - sky.log_radiance) ** 2))
-
-    least = np.log(found.gains)
-    assert error(least) == pytest.approx(found.error)
-    assert min(error(least - 1e-3), error(least + 1e-3)) > found.error
-
-
-def test_negative_radiance_counts_as_black(sky):
-    radiance = np.exp(sky.log_radiance)
-    radiance[:100] = -1.0
-    black = radiance.clip(0.0)
-    assert log_error.log_error(sky, picture_of(sky, radiance)) == log_error.log_error(sky, picture_of(sky, black))
-
-
-def test_boxes_are_averaged_and_a_mask_needs_all_of_them():
-    fine = np.arange(512.0 * 1024.0).reshape(512, 1024)
-    assert log_error.reduced(fine)[0, 0] == (0.0 + 1.0 + 1024.0 + 1025.0) / 4.0
-    assert log_error.reduced(fine).shape == (256, 512)
-
-
-def test_a_mask_pixel_that_is_half_white_is_not_used(tmp_path):
-    white = np.ones((512, 1024), dtype=bool)
-    white[0, 1] = False
-    write_mask(tmp_path / "mask.png", white)
-    found = log_error.read_mask(tmp_path / "mask.png")
-    assert (bool(found[0, 0]), int(found.sum())) == (False, 256 * 512 - 1)
-
-
-def test_default_eps_is_a_thousandth_of_the_median(shot):
-    mask, photo = log_error.read_mask(shot.mask), log_error.read_picture(shot.photo)
-    assert log_error.sky_under(mask, photo, None).eps == pytest.approx(1e-3 * np.median(photo[mask]), rel=1e-2)
-
-
-def test_what_cannot_be_judged_is_refused(shot, sky, tmp_path):
-    photo = log_error.read_picture(shot.photo)
-    with pytest.raises(ValueError, match="no white pixel"):
-        log_error.sky_under(np.zeros(photo.shape[:2], dtype=bool), photo, None)
-    with pytest.raises(ValueError, match="make them equal"):
-        log_error.sky_under(sky.mask[:-1], photo, None)
-    with pytest.raises(ValueError, match="mask them"):
-        log_error.sky_under(sky.mask, np.full_like(photo, np.nan), None)
-    with pytest.raises(ValueError, match="not finite"):
-        log_error.log_error(sky, np.full_like(photo, np.nan))
-    with pytest.raises(ValueError, match="rows and columns"):
-        log_error.log_error(sky, photo[:-1])
-    with pytest.raises(ValueError, match="cannot be halved"):
-        log_error.reduced(np.zeros((257, 514)))
-    with pytest.raises(ValueError, match="whole panoramas"):
-        log_error.panorama(np.zeros((4, 4)), tmp_path)
-    with pytest.raises(ValueError, match="cannot be read"):
-        log_error.read_mask(tmp_path / "missing.png")
-    OpenEXR.File({}, {"Y": np.ones((2, 4), np.float32)}).write(str(tmp_path / "grey.exr"))
-    with pytest.raises(ValueError, match="no channel R"):
-        log_error.read_picture(tmp_path / "grey.exr")
-
-
-def test_log_error_prints_one_line(shot, capsys):
-    log_error.main([str(shot.photo), str(shot.photo), str(shot.mask), "--eps", "1e-3"])
-    assert capsys.readouterr().out.startswith("E3 0.000000  gains 1 1 1  eps 0.001")
-
-
-# harmonics_floor
-
-
-def test_harmonics_reach_whatever_is_a_polynomial_of_their_order(sky):
-    x, y, z = harmonics_floor.directions(sky.mask).T
-    smooth = np.stack([x * y * z * z, 0.5 + x - z**4, y**3 * z + 0.0 * x], -1)
-    photo = picture_of(sky, np.exp(smooth))
-    assert harmonics_floor.harmonics_floor(log_error.sky_under(sky.mask, photo, 0.0)).error < 1e-20
-
-
-def test_harmonics_are_a_floor_for_a_sky_of_one_colour(sky):
-    constant = log_error.log_error(sky, np.ones((*sky.mask.shape, 3))).error
-    assert 0.0 < harmonics_floor.harmonics_floor(sky).error < constant
-
-
-def test_harmonics_floor_writes_its_records(photos, tmp_path):
-    harmonics_floor.main(["--photos", str(photos), "--size", "small", "--out", str(tmp_path)])
-    content = json.loads((tmp_path / "harmonics_floor.json").read_text())
-    (row,) = content["records"]
-    assert row["ratio"] == pytest.approx(row["floor"] / 0.02)
-    assert {"machine", "versions", "commit", "date"} <= content.keys()
-
-
-# automatic_mask
 
 
 @pytest.mark.usefixtures("stand_in")
