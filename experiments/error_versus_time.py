@@ -2,8 +2,7 @@
 
 Errors are those of float32 at the defaults, on the effect's examples, where the hard cases are, and on a small picture.
 Times are processor times of one thread on a larger picture: what a rung prepares apart from what it draws, eager and
-compiled; all
-rungs and a copy of the picture's bytes take turns, and ratios are taken within a turn.
+compiled; all rungs and a copy of the picture's bytes take turns, and ratios are taken within a turn.
 """
 
 import shutil

@@ -107,7 +107,7 @@ def seconds_of(work: Callable[[], object]) -> float:
 
 @contextmanager
 def one_thread() -> Iterator[None]:
-    """Torch on one thread, so that processor time is what a work takes on a machine with nothing else to do."""
+    """Torch on one thread: there processor time is the time that a work takes on a machine of its own."""
     before = torch.get_num_threads()
     torch.set_num_threads(1)
     try:
