@@ -320,7 +320,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
             print(f"{rung}, beyond {ALLOWED:g}: {count} of {cause}")
     written = given.out / "stability.json"
     listed = [asdict(replace(one, beyond=one.beyond[:LISTED])) for one in found]
-    records.write(written, {"allowed": ALLOWED, "share": SHARE, "records": listed, "causes": causes})
+    content = {"size": asdict(size), "allowed": ALLOWED, "share": SHARE, "records": listed, "causes": causes}
+    records.write(written, content)
     plots.stability(written)
 
 
