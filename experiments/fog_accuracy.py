@@ -27,6 +27,7 @@ CHUNK = 50_000  # cases at a time
 BANDS = (10.0, 20.0, 40.0, 80.0)  # largest |altitude - base| / scale height of a ray's ends
 LARGEST = 3e38  # of float32
 SMALLEST = 1.2e-38  # of float32 with all its digits
+INVISIBLE = 1e-15  # opacity of fog that scatters nothing to speak of, whose gradients pass through subnormal numbers
 STEEPEST = 1e25  # optical depth up to which its gradients, per metre and by slope of a ray, are in float32's range
 MOVED = ("extinction", "scale_height", "base_height", "up")  # of which gradients are taken
 
@@ -153,6 +154,7 @@ def rows(count: int, seed: int) -> list[dict[str, Any]]:
     depths = in_both(depth, drawn)
     known = (depths[1] > SMALLEST) & (depths[1] < LARGEST)
     share = opacity(depths[1].clamp(max=height_fog.OPAQUE))
+    seen = share.clamp(min=INVISIBLE)
     told = [
         tell("optical depth, of its value", depths, depths[1], far, known),
         steepness("its gradient, of that gradient's length", depth, 0.0 * share, drawn, depths[1] < STEEPEST),
@@ -160,7 +162,7 @@ def rows(count: int, seed: int) -> list[dict[str, Any]]:
     ]
     for name, quantity in (("round earth", sunlight), ("flat earth", sunlight_flat)):
         told.append(tell(f"sunlight, {name}, of the fog's opacity", in_both(quantity, drawn), share, far, known))
-        told.append(steepness("its gradient, of its length or that opacity", quantity, share, drawn, share >= 0.0))
+        told.append(steepness("its gradient, of its length or that opacity", quantity, seen, drawn, share >= 0.0))
     return [row for band in told for row in band]
 
 
