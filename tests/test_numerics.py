@@ -3,7 +3,7 @@ import math
 import pytest
 import torch
 
-from diffrender.numerics import lookup, mean_decay, safe_sqrt
+from diffrender.numerics import decayed_length, erfcx, lookup, mean_decay, opacity, safe_sqrt
 
 TABLE = torch.rand(4, 5, 3, generator=torch.Generator().manual_seed(1), dtype=torch.float64)
 
@@ -77,6 +77,46 @@ def test_slope_of_mean_decay_in_float64_is_its_power_series(way):
         [-1.0, -0.25, -1e-12, 0.0, 1e-300, 0.1, 0.25 - 1e-9, 0.25, 0.25 + 1e-9, 1.0], dtype=torch.float64
     )
     torch.testing.assert_close(way(mean_decay, depth), exact_slope_of_mean_decay(depth), rtol=1e-13, atol=0.0)
+
+
+@pytest.mark.parametrize("way", [value, reverse, forward])
+def test_opacity_and_decayed_length_in_float32_lose_few_bits(way):
+    assert few_bits_lost(ulps(way, opacity, bit_patterns(1e-30, 80.0)))
+
+    def by_rate(rate):
+        return decayed_length(torch.full_like(rate, 3.0), rate)
+
+    assert few_bits_lost(ulps(way, by_rate, bit_patterns(1e-30, 25.0)))
+
+
+def test_opacity_in_float64_is_its_definition():
+    depth = torch.cat([torch.zeros(1), torch.logspace(-20, 3, 500)]).double()
+    torch.testing.assert_close(opacity(depth), -torch.expm1(-depth), rtol=1e-14, atol=0.0)
+    torch.testing.assert_close(reverse(opacity, depth), torch.exp(-depth), rtol=1e-13, atol=0.0)
+
+
+def test_decayed_length_is_mean_decay_of_every_length_and_never_overflows():
+    rate = torch.cat([torch.zeros(1), torch.logspace(-12, 3, 500)]).double()
+    for length in (0.0, 1e-3, 1.0, 1e6):
+        wanted = length * mean_decay(length * rate)
+        torch.testing.assert_close(decayed_length(torch.full_like(rate, length), rate), wanted, rtol=1e-14, atol=0.0)
+    huge = torch.tensor([1e30, 1e38])
+    assert torch.equal(decayed_length(huge, torch.ones(2)), torch.ones(2))
+    assert torch.equal(reverse(lambda r: decayed_length(huge, r), torch.ones(2)), -torch.ones(2))
+
+
+@pytest.mark.parametrize("way", [value, reverse, forward])
+def test_erfcx_in_float32_keeps_its_digits_and_those_of_its_slope_far_out(way):
+    x = bit_patterns(10.1, 1e8)
+    assert few_bits_lost(ulps(way, erfcx, x))
+
+
+@pytest.mark.parametrize("way", WAYS)
+def test_slope_of_erfcx_in_float64_is_that_of_its_differential_equation(way):
+    x = torch.tensor([0.0, 1.0, 9.9, 10.0, 10.1, 30.0, 200.0], dtype=torch.float64)
+    wanted = 2.0 * x * torch.special.erfcx(x) - 2.0 / math.sqrt(math.pi)
+    torch.testing.assert_close(way(erfcx, x), wanted, rtol=1e-10, atol=0.0)
+    torch.testing.assert_close(erfcx(x), torch.special.erfcx(x), rtol=1e-13, atol=0.0)
 
 
 @pytest.mark.parametrize("dtype", [torch.float32, torch.float64])

@@ -16,6 +16,8 @@ Gradient: exact in every parameter, also along level rays and where the ray rise
 """
 
 import math
+from collections.abc import Callable
+from functools import partial
 
 import torch
 from jaxtyping import Float
@@ -91,17 +93,18 @@ def render(fog: HeightFog, view: FogView) -> Float[Tensor, "*batch 3"]:
     Holds with the sun at and below the horizon, whose air mass [2] is taken at the eye. The shadow that the ground
     itself casts is the irradiance's to tell.
     """
-    return _compose(fog, view, sun_share(fog, view.rays, air_mass(fog, view.rays, view.to_sun)))
+    mass = air_mass(fog, view.rays, view.to_sun)
+    return _compose(fog, view, partial(_sun_share, mass=mass))
 
 
 def render_flat(fog: HeightFog, view: FogView) -> Float[Tensor, "*batch 3"]:
     """The same over a flat earth: as good down to a sun a few degrees high, and wrong below 1 degree."""
-    return _compose(fog, view, sun_share(fog, view.rays, flat_air_mass(view.to_sun)))
+    return _compose(fog, view, partial(_sun_share, mass=flat_air_mass(view.to_sun)))
 
 
 def render_blend(fog: HeightFog, view: FogView) -> Float[Tensor, "*batch 3"]:
     """Radiance by the talk's alpha blend [1]: all fog is lit by the sunlight that is given, dimmed by none of it."""
-    return _compose(fog, view, opacity(_visible_depth(fog, view.rays)))
+    return _compose(fog, view, lambda _through, _zenith, depth: opacity(depth))
 
 
 def skip(fog: HeightFog, view: FogView) -> Float[Tensor, "*batch 3"]:
@@ -109,19 +112,50 @@ def skip(fog: HeightFog, view: FogView) -> Float[Tensor, "*batch 3"]:
     return view.background + torch.zeros_like(view.rays.direction) * fog.extinction
 
 
-def _compose(fog: HeightFog, view: FogView, sunlit: Tensor) -> Float[Tensor, "*batch 3"]:
-    depth = _visible_depth(fog, view.rays)
-    sun = phase(fog, view) * fog.albedo * fog.sun_tint * view.irradiance * sunlit
-    ambient = fog.albedo * fog.ambient_tint * view.sky_radiance * opacity(depth)
-    return view.background * torch.exp(-depth) + sun + ambient
+@record
+class Through:
+    """Where rays run in the fog, whatever its extinction."""
+
+    up: Float[Tensor, "*batch"]  # climb per length
+    eye: Float[Tensor, "*#batch"]  # density at the eye over that at the base height
+    end: Float[Tensor, "*batch"]  # and at the far end
+    path: Float[Tensor, "*batch"]  # length in fog as dense as at the lower end [m]
+
+
+def _compose(
+    fog: HeightFog, view: FogView, sun_share: Callable[[Through, Tensor, Tensor], Tensor]
+) -> Float[Tensor, "*batch 3"]:
+    through = _through(fog, view.rays)
+    molecules, droplets = _phases(fog, view)
+
+    def draw(extinction: Tensor, background: Tensor, share: Tensor, sun: Tensor, sky: Tensor) -> Tensor:
+        depth = torch.clamp(_depth(through, extinction), max=OPAQUE)
+        sunlit = sun_share(through, extinction * fog.scale_height, depth)
+        sunlight = sun * (droplets + share * (molecules - droplets)) * sunlit
+        return background * torch.exp(-depth) + sunlight + sky * opacity(depth)
+
+    sun = fog.albedo * fog.sun_tint * view.irradiance
+    sky = fog.albedo * fog.ambient_tint * view.sky_radiance
+    return _by_channel(draw, extinction(fog), view.background, fog.rayleigh_share, sun, sky)
+
+
+def _by_channel(draw: Callable[..., Tensor], *colours: Float[Tensor, "*#batch 3"]) -> Float[Tensor, "*batch 3"]:
+    """Picture of a function of one channel, in planes: torch is several times slower along an axis of three."""
+    return torch.stack([draw(*channel) for channel in zip(*(c.unbind(-1) for c in colours), strict=True)]).movedim(
+        0, -1
+    )
 
 
 def phase(fog: HeightFog, view: FogView) -> Float[Tensor, "*batch 3"]:
     """Share of scattered sunlight per solid angle that goes to the eye [1/sr], by channel."""
-    chord_square = (view.rays.direction - view.to_sun).square().sum(-1)
-    molecules = scattering.rayleigh_phase(chord_square)[..., None]
-    droplets = scattering.henyey_greenstein(chord_square, fog.asymmetry)[..., None]
-    return droplets + fog.rayleigh_share * (molecules - droplets)
+    molecules, droplets = _phases(fog, view)
+    return torch.lerp(droplets[..., None], molecules[..., None], fog.rayleigh_share)
+
+
+def _phases(fog: HeightFog, view: FogView) -> tuple[Tensor, Tensor]:
+    x, y, z = (view.rays.direction[..., axis] - view.to_sun[axis] for axis in range(3))
+    chord_square = x * x + y * y + z * z
+    return scattering.rayleigh_phase(chord_square), scattering.henyey_greenstein(chord_square, fog.asymmetry)
 
 
 def extinction(fog: HeightFog) -> Float[Tensor, "3"]:
@@ -136,15 +170,10 @@ def optical_depth(fog: HeightFog, rays: Rays) -> Float[Tensor, "*batch 3"]:
     special case, nor is one to infinity unless it is level, which counts as 10^9 m long. Fog more than 88 scale heights
     below its base height is as dense as there. In float32 its gradients end where it exceeds 1e25.
     """
-    eye, end, path = _profile(fog, rays)
-    densest = torch.where(rays.direction[..., 2] < 0.0, end, eye)
-    # Extinction first: a path in the densest fog overflows where its optical depth does not.
-    depth = extinction(fog) * path[..., None] * densest[..., None]
-    return torch.clamp(depth, max=3e38)
+    return _by_channel(partial(_depth, _through(fog, rays)), extinction(fog))
 
 
-def _profile(fog: HeightFog, rays: Rays) -> tuple[Tensor, Tensor, Tensor]:
-    """Density at the eye and at the far end over that at the base, and length of the ray in its densest fog [m]."""
+def _through(fog: HeightFog, rays: Rays) -> Through:
     up = rays.direction[..., 2]
     length = torch.clamp(rays.length, max=FARTHEST)
     altitude = rays.origin[..., 2] - fog.base_height
@@ -152,16 +181,17 @@ def _profile(fog: HeightFog, rays: Rays) -> tuple[Tensor, Tensor, Tensor]:
     # nearly level ray a gradient of its own, half or twice the right one.
     steepness = torch.where(up < 0.0, -up, up)
     path = decayed_length(length, steepness / fog.scale_height)
-    return _density(fog, altitude), _density(fog, altitude + up * length), path
+    return Through(up, _density(fog, altitude), _density(fog, altitude + up * length), path)
 
 
 def _density(fog: HeightFog, altitude: Tensor) -> Tensor:
     return torch.exp(torch.clamp(-altitude / fog.scale_height, max=_DENSEST))
 
 
-def _visible_depth(fog: HeightFog, rays: Rays) -> Tensor:
-    """Optical depth, capped where it no longer changes what is seen, so that huge ones have no gradient."""
-    return torch.clamp(optical_depth(fog, rays), max=OPAQUE)
+def _depth(through: Through, extinction: Tensor) -> Tensor:
+    densest = torch.where(through.up < 0.0, through.end, through.eye)
+    # Extinction first: a path in the densest fog overflows where its optical depth does not.
+    return torch.clamp(extinction * through.path * densest, max=3e38)
 
 
 def sun_share(fog: HeightFog, rays: Rays, mass: Float[Tensor, "*#batch"]) -> Float[Tensor, "*batch 3"]:
@@ -171,13 +201,22 @@ def sun_share(fog: HeightFog, rays: Rays, mass: Float[Tensor, "*#batch"]) -> Flo
     depth over that to the zenith. Falls to the opacity where the fog dims no sunlight, and smoothly through rays as
     steep as the sun's.
     """
-    eye, end, _ = _profile(fog, rays)
-    depth = _visible_depth(fog, rays)
-    to_sun = extinction(fog) * (fog.scale_height * mass)[..., None]
-    at_eye = torch.clamp(to_sun * eye[..., None], max=OPAQUE)
-    at_end = depth + torch.clamp(to_sun * end[..., None], max=OPAQUE)
+    through = _through(fog, rays)
+
+    def share(extinction: Tensor) -> Tensor:
+        # Capped where it no longer changes what is seen, so that huge depths have no gradient.
+        depth = torch.clamp(_depth(through, extinction), max=OPAQUE)
+        return _sun_share(through, extinction * fog.scale_height, depth, mass)
+
+    return _by_channel(share, extinction(fog))
+
+
+def _sun_share(through: Through, zenith: Tensor, depth: Tensor, mass: Tensor) -> Tensor:
+    """`sun_share` of one channel, whose optical depth from the base height to the zenith is given."""
+    at_eye = torch.clamp(zenith * mass * through.eye, max=OPAQUE)
+    at_end = depth + torch.clamp(zenith * mass * through.end, max=OPAQUE)
     # Growth of the whole path's depth, ray and sun, per depth of the ray: it may shrink along a ray that climbs.
-    growth = (1.0 - rays.direction[..., 2] * mass)[..., None]
+    growth = 1.0 - through.up * mass
     shrinks = growth < 0.0
     least = torch.where(shrinks, at_end, at_eye)
     return torch.exp(-least) * decayed_length(depth, torch.where(shrinks, -growth, growth))
@@ -207,7 +246,7 @@ def air_mass(fog: HeightFog, rays: Rays, to_sun: Float[Tensor, "3"]) -> Float[Te
 def largest_change(fog: HeightFog, view: FogView) -> Float[Tensor, ""]:
     """Bound on abs(render - skip) over all rays [W/(m² sr)]: as if no sunlight were dimmed before it is scattered."""
     light = phase(fog, view) * fog.sun_tint * view.irradiance + fog.ambient_tint * view.sky_radiance
-    return (opacity(_visible_depth(fog, view.rays)) * torch.maximum(view.background.abs(), fog.albedo * light)).amax()
+    return (opacity(optical_depth(fog, view.rays)) * torch.maximum(view.background.abs(), fog.albedo * light)).amax()
 
 
 # Eye [m], elevation and azimuth of the ray [degrees], length [m].
