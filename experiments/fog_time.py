@@ -81,9 +81,8 @@ def march(steps: int, compiled: Callable[..., Any]) -> Draw:
     fog = defaults(HeightFog)
 
     def piece(up: Tensor, length: Tensor, first: Tensor, state: list[Tensor]) -> list[Tensor]:
-        to_sun = view(up, length, up).to_sun
-        origin = torch.tensor([0.0, 0.0, EYE])
-        mass = height_fog.air_mass(fog, Rays(origin, up[..., None], length), to_sun)
+        at_eye = view(torch.tensor([1.0, 0.0, 0.0]), torch.tensor(1.0), torch.zeros(3))
+        mass = height_fog.air_mass(fog, at_eye.rays, at_eye.to_sun)
         step = length / steps
         depth, light = state[:3], state[3:]
         for number in range(PIECE):

@@ -220,3 +220,25 @@ def masks(shown: Mapping[str, tuple[Picture, Mask, Mask]], path: Path) -> None:
         place.set_title(name, fontsize="small")
     figure.suptitle("green: in both masks; magenta: found only; orange: given only", fontsize="small")
     figure.savefig(path.with_name("automatic_masks.png"), dpi=80)
+    figure.savefig(path.with_suffix(".png"), dpi=120)
+
+
+def fog_scale_heights(path: Path) -> None:
+    """Error of scattered light against the haze's scale height, for rays of 10 km, by amount of haze and way."""
+    content = json.loads(path.read_text(encoding="utf-8"))
+    rows = [row for row in content["records"] if row["length"] == 1e4]
+    suns = sorted({row["sun_degrees"] for row in rows})
+    hazes = sorted({row["haze"] for row in rows})
+    ways = [name for name in rows[0] if name.endswith(", light")]
+    figure = Figure(figsize=(3.2 * len(hazes), 3.0 * len(suns)), layout="constrained")
+    panels = figure.subplots(len(suns), len(hazes), sharex=True, sharey=True, squeeze=False)
+    for panel, (sun, haze) in zip(panels.flat, [(s, h) for s in suns for h in hazes], strict=True):
+        drawn = [row for row in rows if row["sun_degrees"] == sun and row["haze"] == haze]
+        for way in ways:
+            heights = [row["scale_height"] for row in drawn]
+            panel.plot(heights, [max(row[way], 1e-6) for row in drawn], marker="o", label=way.removesuffix(", light"))
+        panel.set(xscale="log", yscale="log", title=f"haze × {haze:g}, sun at {sun:g} degrees")
+    figure.supxlabel("scale height of the haze [m]; the air's is 8000 m")
+    figure.supylabel("largest error of scattered light, of the brightest")
+    figure.legend(*panels.flat[0].get_legend_handles_labels(), loc="outside upper center", ncols=4, fontsize="small")
+    figure.savefig(path.with_suffix(".png"), dpi=120)
