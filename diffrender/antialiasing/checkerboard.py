@@ -14,7 +14,6 @@ Gradient: that of `fxaa` and `history`: exact where decisions stay; the ten bits
     Real-Time Rendering in Games".
 """
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
 
@@ -35,18 +34,6 @@ OFFSET = (-0.5, -0.5)  # of a pixel's upper left corner from its centre [pixels]
 
 
 @dataclass(frozen=True)
-class Decisions:
-    """How edges are smoothed, of a texture by its brightness, and history is accepted."""
-
-    smoothed: Callable[[AntiAliasing, Tensor, Tensor, Search], Tensor]
-    accept: history.Accept
-
-
-HARD = Decisions(fxaa.filtered, history.accept)
-SOFT = Decisions(partial(fxaa.softly_filtered, softness=fxaa.SOFTNESS), edge_taa.SOFT.accept)
-
-
-@dataclass(frozen=True)
 class State:
     """What a frame leaves to the next: its smoothed tangram, its motion, and how many frames there were."""
 
@@ -56,7 +43,7 @@ class State:
 
 
 def step(
-    settings: AntiAliasing, frame: Frames, state: State | None, decisions: Decisions = HARD
+    settings: AntiAliasing, frame: Frames, state: State | None
 ) -> tuple[Float[Tensor, "*batch height width 3"], State]:
     """Picture of one frame and what it leaves to the next; without a state it is the first, of parity 0.
 
@@ -66,7 +53,7 @@ def step(
     height, width = frame.colour.shape[-3], 2 * frame.colour.shape[-2]
     packed = tangram.pack(ycocg_from_rgb(ten_bits(frame.colour)), parity=count % 2)
     whole = tangram.filled(packed, width=width, parity=count % 2)
-    texture = decisions.smoothed(settings, whole, whole[..., 0], Search(address=wrapped))
+    texture = fxaa.filtered(settings, whole, whole[..., 0], Search(address=wrapped))
     motion = history.motion_of(frame, (height, width))
     current = shown_at(texture, places(width, height, texture.new_zeros(2)), width, count)
     left = State(texture, motion, count + 1)
@@ -75,19 +62,13 @@ def step(
     before = history.reprojected(
         partial(shown_at, state.texture, width=width, count=state.frames - 1), state.motion, motion
     )
-    share = decisions.accept(settings, current, before)[..., None]
+    share = history.accept(settings, current, before)[..., None]
     return torch.lerp(current, (current + before.colour) / 2, share), left
 
 
-def render(
-    settings: AntiAliasing, frames: Frames, decisions: Decisions = HARD
-) -> Float[Tensor, "*batch time height width 3"]:
+def render(settings: AntiAliasing, frames: Frames) -> Float[Tensor, "*batch time height width 3"]:
     """Pictures of a sequence of frames, the first of which has parity 0."""
-    pictures, state = [], None
-    for frame in frames.in_order():
-        picture, state = step(settings, frame, state, decisions)
-        pictures.append(picture)
-    return torch.stack(pictures, -4)
+    return history.folded(step, settings, frames)
 
 
 def shown_at(
@@ -117,7 +98,6 @@ EFFECT = Effect(
     prefix=PREFIX,
     rungs={
         "skip": Rung(edge_taa.skip, edge_taa.centres),
-        "soft": Rung(partial(render, decisions=SOFT), corners),
         "two frames": Rung(render, corners),
     },
     reference=edge_taa.truth,

@@ -77,11 +77,7 @@ def render(
     settings: AntiAliasing, frames: Frames, decisions: Decisions = HARD
 ) -> Float[Tensor, "*batch time height width 3"]:
     """Pictures of a sequence of frames, the first of which is even."""
-    pictures, state = [], None
-    for frame in frames.in_order():
-        picture, state = step(settings, frame, state, decisions)
-        pictures.append(picture)
-    return torch.stack(pictures, -4)
+    return history.folded(partial(step, decisions=decisions), settings, frames)
 
 
 def centred(

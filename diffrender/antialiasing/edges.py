@@ -70,7 +70,7 @@ class Surroundings:
         halves = {(False, False): whole, (True, False): down, (False, True): right, (True, True): both}
         return cls(halves, margin, (luma.shape[-2], luma.shape[-1]))
 
-    def at(self, down: float | int, right: float | int) -> Float[Tensor, "*batch height width"]:
+    def at(self, down: float | int, right: float | int) -> Tensor:
         """Brightness at a step from every pixel, bilinear."""
         field = self.fields[down % 1 != 0, right % 1 != 0]
         top, left = (self.margin + int(step // 1) for step in (down, right))

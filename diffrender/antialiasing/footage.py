@@ -54,13 +54,13 @@ def example_pictures(dtype: torch.dtype) -> Float[Tensor, "pictures fine_height 
 
 
 def example_footage(dtype: torch.dtype) -> Footage:
-    """Thin shapes at rest and a disc that passes a striped wall at 1.3 and 0.4 pixels a frame; 5 frames, 12 x 8."""
-    time = torch.arange(5, dtype=torch.float64)[:, None, None]
+    """Thin shapes at rest and a disc that passes a striped wall at 1.3 and 0.4 pixels a frame; 3 frames, 12 x 8."""
+    time = torch.arange(3, dtype=torch.float64)[:, None, None]
     x, y = (places(12 * FINENESS, 8 * FINENESS, torch.zeros(2, dtype=torch.float64)) / FINENESS).unbind(-1)
     still = 0.1 + 0.8 * (torch.hypot(x - 6.2, y - 4.1) < 2.4) + 2.0 * (((x + 1.7 * y) % 4.3) < 0.3)
     wall = 0.2 + 0.6 * ((y + 0.3 * x) % 3.1 < 1.2)
     moving = torch.where(torch.hypot(x - 3.1 - 1.3 * time, y - 3.2 - 0.4 * time) < 2.1, 4.0, wall)
-    grey = torch.stack([still.expand(5, -1, -1), moving])
+    grey = torch.stack([still.expand(3, -1, -1), moving])
     x, y = places(12, 8, torch.zeros(2, dtype=torch.float64)).unbind(-1)
     on_disc = torch.hypot(x - 3.1 - 1.3 * time, y - 3.2 - 0.4 * time) < 2.1
     motion = torch.where(on_disc[..., None], grey.new_tensor([-1.3, -0.4]), grey.new_zeros(2))

@@ -6,8 +6,9 @@ finds where the step ends on both sides. Nearer the end, the pixel takes up to h
 lone pixels and thin lines are blended by their difference from the mean around. Pictures are what a screen is sent
 (sRGB or PQ); of radiance the thresholds would see nothing in the dark.
 
-Departs from the shader in one point: a search ends at 0.999 of the threshold. Where a tap between pixels meets the
-end of an edge of two colours the two are equal, and rounding would decide.
+Departs from the shader in one point: comparisons of edges allow a thousandth. In the brightest or darkest pixel of a
+neighbourhood both directions are often exactly as strong, and where a tap between pixels meets the end of an edge of
+two colours, it leaves their mean by exactly the threshold; without that, rounding would decide.
 
 The soft version weighs all four sides of a pixel and every length of the search by logistic functions of what the hard
 one compares; their width is the softness, in brightness. As it goes to 0, the picture becomes the hard one's, but for
@@ -43,7 +44,8 @@ from diffrender.antialiasing.edges import (
 from diffrender.antialiasing.settings import PREFIX, AntiAliasing
 from diffrender.effect import Effect, Rung
 
-SEARCH_END = 0.25 * 0.999  # share of the edge's step by which a tap must leave its mean
+TIE = 0.999  # what is as large but for rounding
+SEARCH_END = 0.25 * TIE  # share of the edge's step by which a tap must leave its mean
 SOFTNESS = 0.01  # of the rung "soft"
 
 
@@ -57,7 +59,8 @@ def filtered(
     around = Surroundings.of(luma, search)
     contrast, least = contrasts(settings, around)
     is_edge = (contrast >= least) & (contrast > 0.0)
-    is_horizontal = torch.ge(*edge_strengths(around))
+    horizontal, vertical = edge_strengths(around)
+    is_horizontal = horizontal >= TIE * vertical
     first = torch.where(is_horizontal, around.at(-1, 0), around.at(0, -1)) - luma
     second = torch.where(is_horizontal, around.at(1, 0), around.at(0, 1)) - luma
     is_first = first.abs() >= second.abs()

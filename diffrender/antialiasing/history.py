@@ -16,6 +16,7 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from itertools import product
+from typing import Any
 
 import torch
 from jaxtyping import Bool, Float
@@ -38,6 +39,17 @@ class Reprojected:
 
 
 Accept = Callable[[AntiAliasing, Tensor, Reprojected], Tensor]  # settings, current, previous -> weight from 0 to 1
+
+
+def folded(
+    step: Callable[[AntiAliasing, Frames, Any], tuple[Tensor, Any]], settings: AntiAliasing, frames: Frames
+) -> Float[Tensor, "*batch time height width 3"]:
+    """Pictures of a sequence, step by step from its first frame; each step gets what the one before left."""
+    pictures, state = [], None
+    for frame in frames.in_order():
+        picture, state = step(settings, frame, state)
+        pictures.append(picture)
+    return torch.stack(pictures, -4)
 
 
 def motion_of(frame: Frames, size: tuple[int, int]) -> Float[Tensor, "*batch height width 2"]:

@@ -37,7 +37,7 @@ def pack(corners: Float[Tensor, "*batch height half channels"], *, parity: int) 
         ValueError: when the height is above the width or below half of it, or the parity is neither 0 nor 1.
 
     >>> pack(torch.arange(1.0, 5.0).reshape(2, 2, 1), parity=0)[..., 0].tolist()
-    [[1.0, 3.0], [4.0, 2.0]]
+    [[1.0, 4.0], [3.0, 2.0]]
     """
     height, half = corners.shape[-3:-1]
     _require_size(2 * half, height, parity)
