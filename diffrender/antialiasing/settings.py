@@ -16,7 +16,7 @@ class AntiAliasing:
         0.166,
         bounds=(0.0, 1.0),
         unit="1",
-        about="least contrast of an edge that FXAA smooths, over its brightest pixel; 1 turns FXAA off",
+        about="least contrast of an edge that FXAA smooths, over its brightest pixel",
     )
     edge_threshold_minimum: Float[Tensor, ""] = parameter(
         0.0833, bounds=(0.0, 1.0), unit="1", about="least contrast of an edge that FXAA smooths, in the dark"
