@@ -100,7 +100,7 @@ def test_smoothing_in_the_tangram_brings_near_diagonal_edges_nearer_to_the_truth
         for minimum in (1.0, 0.05)
     }
     without, smoothed = (float(error.square().mean().sqrt()) for error in errors.values())
-    assert smoothed < 0.8 * without
+    assert smoothed < 0.9 * without
 
 
 def test_awkward_pictures_have_finite_values_and_gradients():
