@@ -29,6 +29,7 @@ SMALLER = 0.7  # size of the frame that costs as much as a checkerboard
 BORDER = 4  # pixels that are not judged
 BLUR = 1.5  # standard deviation of the blur that detail is what is left of [pixels]
 CROP, ENLARGED, GAP = 44, 4, 4  # pixels of the picture's crops
+CROP_AT = (0.35, 0.28)  # where crops are, from the top and the left, as shares of where they can be
 
 SETTINGS = defaults(AntiAliasing)
 
@@ -156,20 +157,20 @@ def _enlarged(sequence: Tensor, scene: Drifting) -> Tensor:
 
 
 def crops(pictures: Sequence[Sequence[Tensor]]) -> np.ndarray:
-    """Middles of pictures, enlarged, scenes below each other and methods side by side."""
+    """Crops of pictures, enlarged, scenes below each other and methods side by side."""
     rows = [np.concatenate([_crop(picture) for picture in row], 1) for row in pictures]
     return np.concatenate(rows, 0)
 
 
 def _crop(picture: Tensor) -> np.ndarray:
-    top, left = ((size - min(size, CROP)) // 2 for size in picture.shape[:2])
+    top, left = (int(share * max(size - CROP, 0)) for share, size in zip(CROP_AT, picture.shape, strict=False))
     pixels = np.rint(255.0 * picture[top : top + CROP, left : left + CROP].clamp(0.0, 1.0).numpy()).astype(np.uint8)
     large = pixels.repeat(ENLARGED, 0).repeat(ENLARGED, 1)
     return np.pad(large, ((0, GAP), (0, GAP), (0, 0)), constant_values=255)
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
-    """Print the figures, and write them as JSON and the middles of the last frames as a picture."""
+    """Print the figures, and write them as JSON and crops of the last frames as a picture."""
     parser = argparse.ArgumentParser(description=main.__doc__)
     parser.add_argument("--size", choices=["small", "full"], default="full")
     parser.add_argument("--out", type=Path, default=records.RESULTS)

@@ -22,7 +22,7 @@ from diffrender.parameters import defaults
 from experiments import fit_command, records
 from experiments.timing import THREADS, Spread, interleaved
 
-SIZES, ROUNDS = ((1920, 1080), (3840, 2160)), 5
+SIZES, ROUNDS = ((1920, 1080), (3840, 2160)), 4
 SMALL_SIZES, SMALL_ROUNDS = ((64, 36),), 1
 BYTES = 3 * 4  # of a pixel
 
