@@ -24,7 +24,7 @@ from experiments.aliased_scenes import ROOT_OF_SAMPLES, SCENES, Drifting
 from fit import png
 
 SIZE, FRAMES = (256, 144), 4
-SMALL_SIZE, SMALL_FRAMES = (32, 18), 3
+SMALL_SIZE, SMALL_FRAMES = (24, 16), 3
 SMALLER = 0.7  # size of the frame that costs as much as a checkerboard
 BORDER = 4  # pixels that are not judged
 BLUR = 1.5  # standard deviation of the blur that detail is what is left of [pixels]
