@@ -4,6 +4,7 @@ What is left out or drawn by a cheaper rung is only a choice of renderers: a sce
 serve other effects too, as a sky that is too dark to be drawn still dims the sun's disc.
 """
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cache
@@ -22,7 +23,7 @@ from diffrender.atmosphere.sky import Sky, SkyView
 from diffrender.catalogue import EFFECTS
 from diffrender.effect import Render
 from diffrender.parameters import Specification, names, parameter, record, specifications
-from diffrender.rays import Rays
+from diffrender.rays import Rays, from_angles
 
 
 @record
@@ -80,6 +81,7 @@ def weather_names() -> dict[str, Specification]:
     }
 
 
+_SKYLIGHT_ROWS = 16
 EYE_ALTITUDE = 2.0  # of a photographer who stands on the ground [m]
 
 
@@ -102,6 +104,20 @@ def sunlight(scene: Scene) -> Float[Tensor, "3"]:
     towards = to_sun(scene.sun)
     clear = 1.0 - sky.overcast_share(scene.sky, towards)
     return sky.sunlight(scene.sky, sky_view(scene, towards)) * clear
+
+
+def skylight(scene: Scene) -> Float[Tensor, "3"]:
+    """Mean exposed radiance of the sky over the directions above the horizon: what shines on fog from all around.
+
+    Without a sky it is 1 before exposure, for the fog's ambient tint to colour.
+    """
+    if scene.sky is None:
+        return scene.exposure.exposure * torch.ones_like(scene.sun.irradiance)
+    height = (torch.arange(_SKYLIGHT_ROWS) + 0.5).to(scene.sun.irradiance) / _SKYLIGHT_ROWS
+    turn = torch.arange(2 * _SKYLIGHT_ROWS).to(height) * (math.pi / _SKYLIGHT_ROWS)
+    # Rows of equal height hold equal solid angles.
+    directions = from_angles(torch.asin(height)[:, None], turn)
+    return EFFECTS["sky"].rungs["tables"](scene.sky, sky_view(scene, directions)).mean((0, 1))
 
 
 def finest() -> dict[str, Render]:

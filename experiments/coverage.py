@@ -66,7 +66,7 @@ def residual_field(shot: Shot) -> Float[Tensor, "128 256 3"]:
     solved = sky.solve(pixels, sun, Options())
     high, wide = pixels.used.shape
     drawn = torch.from_numpy(
-        picture.draw(keyframes.scene(keyframes.values(solved.scene)), Equirectangular(wide, high)).sky
+        picture.draw(keyframes.scene(keyframes.values(solved.scene)), Equirectangular(wide, high))["sky"]
     )
     left = torch.log(pixels.radiance + pixels.floor) - torch.log(drawn + pixels.floor)
     left[~pixels.used] = math.nan

@@ -32,7 +32,7 @@ def side_by_side(path: Path) -> np.ndarray:
     """Photo, fitted sky and difference, tone-mapped, upper halves of the panorama."""
     seen = photo.read(path)
     solution = sky.fit(seen)
-    drawn = picture.draw(keyframes.scene(keyframes.values(solution.scene)), seen.camera).sky
+    drawn = picture.draw(keyframes.scene(keyframes.values(solution.scene)), seen.camera)["sky"]
     horizon = seen.camera.height // 2
     shot, model = seen.radiance[:horizon].astype(np.float32), drawn[:horizon]
     # Lossy compression leaves negative channels beside the sun, which would be shown as coloured boxes.

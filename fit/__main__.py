@@ -5,6 +5,7 @@ import os
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -14,6 +15,7 @@ from fit.input_error import InputError
 
 if TYPE_CHECKING:
     from fit.shot import Shot
+    from fit.solution import Solution
 
 app = typer.Typer(add_completion=False, rich_markup_mode=None, pretty_exceptions_enable=False)
 
@@ -25,7 +27,7 @@ THREADS = 1
 
 @app.callback()
 def about() -> None:
-    """Fit skies of HDR photos and write tuned weather files."""
+    """Fit skies and fog of HDR photos and write tuned weather files."""
 
 
 Projection = Annotated[
@@ -78,7 +80,7 @@ def sky(
     Exit status: 0 fitted, 1 not converged, 2 bad input, 130 interrupted; all but 2 write what was found.
     """
     with _progress("starting", quiet):
-        from fit import minimum, options, results
+        from fit import options, picture, results
         from fit import photo as photos
         from fit import sky as sky_fit
         from fit import sun as sun_place
@@ -101,12 +103,79 @@ def sky(
         seen = photos.read(photo, projection, fov, pitch)
         solution = sky_fit.fit(seen, asked)
     with _progress("writing", quiet):
-        results.write(folder, seen, solution, shot.completed(seen.header))
-    if not quiet:
-        _say(results.summary(folder, solution))
-    if solution.minimum.reason == minimum.INTERRUPTED:
-        return INTERRUPTED
-    return FITTED if solution.minimum.converged else NOT_CONVERGED
+        draw = partial(picture.draw, camera=seen.camera)
+        results.write(folder, seen, solution, shot.completed(seen.header), draw)
+    return _ended(folder, solution, quiet)
+
+
+@app.command()
+def fog(
+    photo: Annotated[Path, typer.Argument(help="OpenEXR or Radiance .hdr file.")],
+    distance: Annotated[Path | None, typer.Option(help="OpenEXR of distances, m; else the photo's channel Z.")] = None,
+    distance_kind: Annotated[str, typer.Option(help="euclidean, along rays, or depth, along the axis.")] = "euclidean",
+    clear: Annotated[Path | None, typer.Option(help="The same view without fog.")] = None,
+    eye_height: Annotated[float, typer.Option(help="Altitude of the camera above the fog's altitude 0, m.")] = 2.0,
+    with_sky: Annotated[bool, typer.Option("--with-sky", help="Fit the sky of the photo first.")] = False,
+    out: Annotated[Path | None, typer.Option(help="Folder for the results; else tuned/<photo name>.")] = None,
+    mask: Annotated[Path | None, typer.Option(help="PNG of the photo's size; white is used.")] = None,
+    sun: Sun = None,
+    latitude: Latitude = None,
+    longitude: Longitude = None,
+    time: Time = None,
+    heading: Heading = None,
+    projection: Projection = None,
+    fov: FieldOfView = None,
+    pitch: Pitch = 0.0,
+    start: Annotated[Path | None, typer.Option(help="Weather file to begin at; keeps what is not free.")] = None,
+    fix: Annotated[list[str] | None, typer.Option(metavar="NAME=VALUE", help="Hold a parameter; repeatable.")] = None,
+    free: Annotated[list[str] | None, typer.Option(metavar="NAME", help="Search one more; repeatable.")] = None,
+    solver: Annotated[str, typer.Option(help="least-squares, nlopt:NAME, adam or lbfgs.")] = "least-squares",
+    seconds: Annotated[
+        float | None, typer.Option(min=1e-3, help="Take the best after this long; not repeatable.")
+    ] = None,
+    seed: Annotated[
+        int, typer.Option(min=0, max=2**31 - 1, help="Of the sample of pixels and of solvers that draw.")
+    ] = 0,
+    quiet: Annotated[bool, typer.Option("--quiet", help="Print nothing but errors.")] = False,
+) -> int:
+    """Fit height fog to a photo, best with its distances and the same view without fog.
+
+    Exit status: 0 fitted, 1 not converged, 2 bad input, 130 interrupted; all but 2 write what was found.
+    """
+    with _progress("starting", quiet):
+        from fit import fog as fog_fit
+        from fit import fog_picture, foggy_photo, options, results
+        from fit import photo as photos
+        from fit import sky as sky_fit
+        from fit import sun as sun_place
+
+        _use_threads()
+    folder = results.folder(out, photo)
+    shot = _shot(latitude, longitude, time, heading)
+    place = sun_place.given(sun) if sun is not None else shot.sun()
+    begun = options.first_scene(start) if start else None
+    with _progress("reading and fitting", quiet):
+        seen = photos.read(photo, projection, fov, pitch)
+        if with_sky:
+            begun = sky_fit.fit(seen, sky_fit.Options(sun=place, start=begun, solver=solver, seed=seed)).scene
+        asked = foggy_photo.Options(
+            distance=distance,
+            distance_kind=distance_kind,
+            clear=clear,
+            eye_height=eye_height,
+            mask=mask,
+            sun=place,
+            start=begun,
+            fixed=options.assignments(fix or []),
+            free=tuple(free or ()),
+            solver=solver,
+            seconds=seconds,
+            seed=seed,
+        )
+        found = fog_fit.solve(seen, asked)
+    with _progress("writing", quiet):
+        results.write(folder, seen, found.solution, shot.completed(seen.header), partial(fog_picture.draw, found))
+    return _ended(folder, found.solution, quiet)
 
 
 @app.command()
@@ -177,6 +246,17 @@ def _shot(latitude: float | None, longitude: float | None, time: str | None, hea
     from fit import sun as sun_place
 
     return shot.Shot(latitude, longitude, None if time is None else sun_place.parse_time(time), heading)
+
+
+def _ended(folder: Path, solution: "Solution", quiet: bool) -> int:
+    """Exit status of a fit, after its summary."""
+    from fit import minimum, results
+
+    if not quiet:
+        _say(results.summary(folder, solution))
+    if solution.minimum.reason == minimum.INTERRUPTED:
+        return INTERRUPTED
+    return FITTED if solution.minimum.converged else NOT_CONVERGED
 
 
 def _use_threads() -> None:

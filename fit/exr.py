@@ -80,10 +80,7 @@ def read(path: Path) -> Picture:
     Raises:
         InputError: when there is none, when the file is damaged, or when it is too large.
     """
-    if not first_bytes(path).startswith(MAGIC):
-        raise InputError(f"{path} is not an OpenEXR file, whatever its name; export it as OpenEXR")
-    headers = [header for header, _ in _parts(path, header_only=True)]
-    _check_sizes(path, headers)
+    headers = _headers(path)
     index = _chosen(path, headers)
     header = headers[index]
     whole = _parts(path, header_only=False)
@@ -103,6 +100,25 @@ def read(path: Path) -> Picture:
         header=header,
         notes=(*_choice_notes(headers, index), *colour_notes, *_window_notes(data, display)),
     )
+
+
+def read_channel(path: Path, names: Sequence[str]) -> Float[np.ndarray, "height width"]:
+    """The first of some channels that a flat part of a file has, in float; NaN where its data window does not reach.
+
+    Raises:
+        InputError: when there is none, when the file is damaged, or when it is too large.
+    """
+    _headers(path)
+    for header, channels in _parts(path, header_only=False):
+        found = [name for name in names if name in channels and header["type"] not in DEEP]
+        if found:
+            data, display = _window(header, "dataWindow"), _window(header, "displayWindow")
+            values = np.array(channels[found[0]], np.float32)
+            if values.shape != (data.height, data.width):
+                raise InputError(f"{path} has fewer pixels in {found[0]} than its window; export it at full resolution")
+            placed: Float[np.ndarray, "height width"] = _placed(path, values, data, display)
+            return placed
+    raise InputError(f"{path} has none of the channels {', '.join(names)}; export one of them without a layer's name")
 
 
 def write(path: Path, parts: Mapping[str, Mapping[str, Values | Radiance]], metadata: Mapping[str, object]) -> None:
@@ -178,6 +194,15 @@ def bands(height: int) -> Iterator[slice]:
 
 
 # The file as OpenEXR gives it
+
+
+def _headers(path: Path) -> list[dict[str, Any]]:
+    """Header of each part, after a look at what the file is and how large."""
+    if not first_bytes(path).startswith(MAGIC):
+        raise InputError(f"{path} is not an OpenEXR file, whatever its name; export it as OpenEXR")
+    headers = [header for header, _ in _parts(path, header_only=True)]
+    _check_sizes(path, headers)
+    return headers
 
 
 def _parts(path: Path, *, header_only: bool) -> list[tuple[dict[str, Any], dict[str, Values]]]:

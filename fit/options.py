@@ -43,8 +43,17 @@ def start(path: Path) -> Scene:
     Raises:
         InputError: when the file cannot be read or holds no sky.
     """
+    return with_sky(first_scene(path), path)
+
+
+def first_scene(path: Path) -> Scene:
+    """Scene of the first keyframe of a weather file, in double precision, whatever it holds.
+
+    Raises:
+        InputError: when the file cannot be read.
+    """
     weather = weather_file.read(path)
-    return with_sky(keyframes.scene(keyframes.at(weather, weather.hours[0]), torch.float64), path)
+    return keyframes.scene(keyframes.at(weather, weather.hours[0]), torch.float64)
 
 
 def with_sky(scene: Scene, weather: Path) -> Scene:

@@ -109,13 +109,7 @@ def read(path: Path, projection: str | None = None, field_of_view: float | None 
         InputError: when the file is none that can be read, or the options do not suit it.
     """
     _check_options(projection, field_of_view, pitch)
-    first = exr.first_bytes(path)
-    if first.startswith(exr.MAGIC):
-        picture = exr.read(path)
-    elif first.startswith(RADIANCE_MAGIC):
-        picture = _read_radiance(path)
-    else:
-        raise _no_hdr(path, first)
+    picture = read_picture(path)
     kind = projection or ("perspective" if field_of_view is not None else _recognised(picture))
     if kind == "perspective":
         camera, camera_notes = _perspective(path, picture, field_of_view, pitch)
@@ -126,6 +120,20 @@ def read(path: Path, projection: str | None = None, field_of_view: float | None 
     header, capture_notes = _capture(picture.header)
     notes = (*picture.notes, *camera_notes, *capture_notes)
     return Photo(path, picture.radiance, camera, header, notes, picture.distance)
+
+
+def read_picture(path: Path) -> exr.Picture:
+    """What an OpenEXR or Radiance file shows.
+
+    Raises:
+        InputError: when the file is none that can be read.
+    """
+    first = exr.first_bytes(path)
+    if first.startswith(exr.MAGIC):
+        return exr.read(path)
+    if first.startswith(RADIANCE_MAGIC):
+        return _read_radiance(path)
+    raise _no_hdr(path, first)
 
 
 def _check_options(projection: str | None, field_of_view: float | None, pitch: float) -> None:

@@ -20,12 +20,7 @@ PIXELS_AT_ONCE = 1 << 17  # so many keep their intermediate results in a few doz
 BELOW_HORIZON = -0.01  # sine of an elevation below the ground's edge, which is at -0.0008 for an eye at 2 m
 
 
-@dataclass(frozen=True, eq=False)
-class Picture:
-    """A drawn scene: its sky, black below the horizon, and the sun's disc alone, which is to be added."""
-
-    sky: Float[np.ndarray, "height width 3"]
-    disc: Float[np.ndarray, "height width 3"]
+Drawn = dict[str, exr.Radiance]
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,10 +49,13 @@ def scene_sky(scene: Scene) -> Sky:
     return scene.sky
 
 
-def draw(scene: Scene, camera: Camera, light: Light | None = None) -> Picture:
-    """Picture of a scene in float32, from fresh tables or from those given."""
+def draw(scene: Scene, camera: Camera, light: Light | None = None) -> Drawn:
+    """A scene's "sky" in float32, black below the horizon, and the "sun"'s disc alone, which is to be added.
+
+    From fresh tables, or from the light given.
+    """
     light = light or fresh(scene)
-    picture = Picture(*(np.zeros((camera.height, camera.width, 3), np.float32) for _ in range(2)))
+    seen, disc = (np.zeros((camera.height, camera.width, 3), np.float32) for _ in range(2))
     to_sun = celestial.to_sun(scene.sun)
     sky_alone = {"sky": lambda _, view: light.paint(view)}
     disc_alone = {"sun disc": lambda sun, view: celestial.render(sun, replace(view, transmittance=light.sunlight))}
@@ -68,12 +66,12 @@ def draw(scene: Scene, camera: Camera, light: Light | None = None) -> Picture:
         direction = camera.direction(x, y)
         # Half of a panorama is ground, and the disc is a few pixels: they are black, and not worth a formula.
         above = (camera.solid_angle(x, y) > 0.0) & (direction[..., 2] > BELOW_HORIZON)
-        picture.sky[rows][above.numpy()] = render(scene, direction[above], sky_alone).numpy()
+        seen[rows][above.numpy()] = render(scene, direction[above], sky_alone).numpy()
         near = above & (direction @ to_sun > math.cos(2.0 * scattering.SUN_RADIUS))
-        picture.disc[rows][near.numpy()] = render(scene, direction[near], disc_alone).numpy()
-    return picture
+        disc[rows][near.numpy()] = render(scene, direction[near], disc_alone).numpy()
+    return {"sky": seen, "sun": disc}
 
 
-def write(path: Path, picture: Picture, metadata: Mapping[str, object]) -> None:
-    """Write a picture as OpenEXR: the sky first, the sun's disc as a second part."""
-    exr.write(path, {"sky": {"RGB": picture.sky}, "sun": {"RGB": picture.disc}}, metadata)
+def write(path: Path, drawn: Mapping[str, exr.Radiance], metadata: Mapping[str, object]) -> None:
+    """Write pictures as the parts of one OpenEXR file, in their order."""
+    exr.write(path, {name: {"RGB": radiance} for name, radiance in drawn.items()}, metadata)

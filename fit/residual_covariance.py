@@ -23,11 +23,15 @@ SMALLEST = 1e-6  # share of the slopes below which a direction is none
 
 
 def score_covariance(
-    direction: Float64[np.ndarray, "n 3"], residuals: Float64[np.ndarray, "n 3"], slopes: Float64[np.ndarray, "n 3 k"]
+    direction: Float64[np.ndarray, "n 3"],
+    residuals: Float64[np.ndarray, "n 3"],
+    slopes: Float64[np.ndarray, "n 3 k"],
+    wide_weight: float,
 ) -> Float64[np.ndarray, "k k"]:
     """Covariance of the sum of slopes times noise, from the residuals that a fit has left of the noise.
 
-    The fit has taken a gain from each channel, and what looks like its slopes; so the slopes have a mean of 0.
+    The fit has taken a gain from each channel, and what looks like its slopes. Fields wider than a pixel count by a
+    weight: where they are a model's errors and not nature's chance, parameters have hidden most of them.
     """
     count = len(direction)
     some = np.linspace(0, count - 1, min(count, PIXELS)).astype(int)
@@ -36,7 +40,7 @@ def score_covariance(
     kernels = _kernels(direction[some])
     variances = _variances(left, _fitted(seen), kernels)
     # Noise of single pixels averages out over all of them, wider fields only over themselves.
-    repeats = np.array([count / len(some), *[(count / len(some)) ** 2 for _ in WIDTHS]])
+    repeats = np.array([count / len(some), *[wide_weight * (count / len(some)) ** 2 for _ in WIDTHS]])
     total = np.zeros((slopes.shape[2],) * 2)
     for own, variance in zip(seen, variances, strict=True):
         total += own.T @ np.tensordot(variance * repeats, kernels, 1) @ own

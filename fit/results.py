@@ -5,6 +5,7 @@ import json
 import math
 import os
 import time
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -12,6 +13,7 @@ import torch
 from jaxtyping import Bool, Float, Shaped
 
 from diffrender.rays import Camera, Cubemap, Equirectangular, Perspective
+from diffrender.scene import Scene
 from fit import keyframes, picture, png, report, weather_file
 from fit.exr import bands
 from fit.input_error import InputError
@@ -21,6 +23,8 @@ from fit.shot import Shot
 from fit.solution import Solution
 from fit.whole_file import write_bytes
 from fit.whole_folder import whole_folder
+
+Draw = Callable[[Scene], picture.Drawn]
 
 ACCOUNT = "fit.json"  # takes its place last: who finds it finds the files it speaks of
 LARGEST_SHOWN = 1024  # columns or rows of the report's pictures
@@ -46,10 +50,11 @@ def folder(out: Path | None, photo: Path) -> Path:
     return place
 
 
-def write(place: Path, photo: Photo, solution: Solution, shot: Shot) -> None:
+def write(place: Path, photo: Photo, solution: Solution, shot: Shot, draw: Draw) -> None:
     """Write a fit's five files into a folder, which is made if it is not there.
 
-    What is drawn is the scene as the weather file describes it, so that drawing the file again gives the same bits.
+    What is drawn is the scene as the weather file describes it, so that drawing the file again gives the same bits; of
+    the pictures drawn, the first is shown beside the photo.
 
     Raises:
         InputError: when they cannot be written; then none of them is.
@@ -57,8 +62,8 @@ def write(place: Path, photo: Photo, solution: Solution, shot: Shot) -> None:
     began = time.monotonic()
     values = keyframes.values(solution.scene)
     weather = weather_file.of_photo(values, shot.hour, _origin(solution) | shot.lines())
-    drawn = picture.draw(keyframes.scene(values), photo.camera)
-    page = report.page(solution, _pictures(photo, drawn.sky, solution.used))
+    drawn = draw(keyframes.scene(values))
+    page = report.page(solution, _pictures(photo, next(iter(drawn.values())), solution.used))
     mask = png.encoded(np.where(solution.used, np.uint8(255), np.uint8(0))[..., None])
     with whole_folder(place, last=ACCOUNT) as aside:
         weather_file.write(aside / "weather.csv", weather)

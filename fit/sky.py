@@ -12,10 +12,8 @@ from jaxtyping import Float
 from torch import Tensor
 
 from diffrender.atmosphere import celestial, sky
-from diffrender.colour import luminance
-from diffrender.parameters import specifications
 from diffrender.scene import Scene, places, sky_view, weather_names
-from fit import hidden_sun, keyframes, night, sky_mask, sun
+from fit import account, hidden_sun, keyframes, night, sky_mask, sun
 from fit import photo as photos
 from fit.input_error import InputError
 from fit.minimum import INTERRUPTED, Budget, Minimum, Point
@@ -122,7 +120,7 @@ def fit(photo: Photo | Path, options: Options | None = None) -> Solution:
         correlated=tuple(space.free[index] for index in kept),
         correlation=known.correlation[np.ix_(kept, kept)],
         sun=hidden_sun.place(place, found.parameters, space.free),
-        gains=_gains(found.scene),
+        gains=account.gains(found.scene),
         used=used,
         pixels={"used": int(used.sum()), "masked": used.size - int(used.sum()), **photo.counts()},
         left_out={**found.pinned, **_left_out(space, known)},
@@ -158,8 +156,9 @@ def solve(pixels: Pixels, place: SunPlace, options: Options) -> Solved:
     late = tuple(name for name in hidden_sun.NAMES if is_guess and name not in options.free)
     found = _search(_home(options, place), pixels, options, late)
     scene, error, known = _account(found.objective, pixels, found, options)
-    parameters = _parameters(scene, found, known, options)
-    return Solved(found.objective.space, found.minimum, found.pinned, scene, error, known, parameters)
+    space = found.objective.space
+    parameters = account.parameters(scene, space, known, lambda n: found.pinned.get(n) or _unsearched(n, options))
+    return Solved(space, found.minimum, found.pinned, scene, error, known, parameters)
 
 
 def _check(pixels: Pixels) -> None:
@@ -332,7 +331,7 @@ def _account(
     whole = replace(objective, sample=_sample(pixels, torch.arange(int(pixels.used.sum()))), geometry=drawn)
     weight = pixels.solid_angle[pixels.used].double()
     gains, error = _closed_form_gains(whole.radiance(point), whole.sample, weight / weight.sum())
-    return _exposed(objective.space.scene(point), gains), error, known
+    return account.exposed(objective.space.scene(point), gains), error, known
 
 
 def _closed_form_gains(
@@ -349,54 +348,6 @@ def _closed_form_gains(
         log_gain = log_gain - step
     difference = torch.log(torch.exp(log_gain) * model + sample.floor) - sample.log_radiance
     return torch.exp(log_gain), float((weight[:, None] * difference.square()).sum() / 3.0)
-
-
-def _exposed(scene: Scene, gains: Float[Tensor, "3"]) -> Scene:
-    """Scene whose exposure and sun share the gains: the sun keeps its own luminance and takes the colour."""
-    plain = gains.new_tensor(specifications(type(scene.sun))["irradiance"].default)
-    exposure = luminance(gains) / luminance(plain)
-    return replace(
-        scene,
-        exposure=replace(scene.exposure, exposure=exposure),
-        sun=replace(scene.sun, irradiance=gains / exposure),
-    )
-
-
-def _gains(scene: Scene) -> tuple[float, float, float]:
-    red, green, blue = (float(gain) for gain in scene.exposure.exposure * scene.sun.irradiance)
-    return red, green, blue
-
-
-def _parameters(scene: Scene, found: _Found, known: Uncertainty, options: Options) -> dict[str, Fitted]:
-    """Every parameter of the scene, in files' units."""
-    stands = places()
-    space = found.objective.space
-    parameters = {}
-    for name, in_file in keyframes.values(scene).items():
-        specification = stands[name].specification
-        error, why = None, found.pinned.get(name) or _unsearched(name, options)
-        if name in space.free:
-            index = space.free.index(name)
-            why = known.why[index] or "searched"
-            if not known.why[index]:
-                error = float(known.standard_error[index]) * _stretch(value(scene, stands[name]), name)
-        parameters[name] = Fitted(
-            value=in_file,
-            unit=specification.file_unit,
-            bounds=specification.file_bounds,
-            standard_error=error,
-            determined=error is not None or why == "closed form",
-            why=why,
-        )
-    return parameters
-
-
-def _stretch(now: Tensor, name: str) -> float:
-    """Change of a value in its file's unit for one whole range of the unit cube."""
-    specification = weather_names()[name]
-    low, high = specification.bounds
-    span = float(now) * float(np.log(high / low)) if specification.scale == "log" else high - low
-    return abs(span * specification.file_factor)
 
 
 def _unsearched(name: str, options: Options) -> str:

@@ -47,6 +47,7 @@ class Evidence:
     # Change of residuals when what is held takes its prior's centre less and plus one deviation.
     changes: Float64[np.ndarray, "h n 3"]
     spread: Float64[np.ndarray, " k"]  # standard deviations of the searched coordinates' priors
+    wide_weight: float = 1.0  # of the variance of noise wider than a pixel
 
 
 @dataclass(frozen=True)
@@ -64,10 +65,12 @@ def evidence(objective: SkyObjective, point: Point, held: Sequence[str]) -> Evid
     residuals, slopes = objective.jacobian(place)
     shape = tuple(objective.sample.log_radiance.shape)
     count = objective.sample.log_radiance.numel()
+    pixels = slopes[:count].reshape(*shape, point.size)
     return Evidence(
         direction=objective.sample.direction.numpy(),
         residuals=residuals[:count].reshape(shape).numpy(),
-        slopes=slopes[:count].reshape(*shape, point.size).numpy(),
+        # Gains in closed form have taken the mean already; what robustness has put back of it would be noise.
+        slopes=(pixels - pixels.mean(0)).numpy(),
         changes=objective.changes(place, held).reshape(-1, *shape).numpy(),
         spread=priors.in_unit_cube(objective.space.free).spread,
     )
@@ -129,12 +132,10 @@ def _covariance(evidence: Evidence) -> tuple[Float64[np.ndarray, "k k"], Float64
 
     That is the share of a small change of the truth that the estimate follows, the rest being the prior's [2].
     """
-    # Gains in closed form have taken the mean already; what robustness has put back of it would be noise.
-    slopes = evidence.slopes - evidence.slopes.mean(0)
-    flat = slopes.reshape(-1, slopes.shape[2])
+    flat = evidence.slopes.reshape(-1, evidence.slopes.shape[2])
     ridge = (PRIOR_WEIGHT / evidence.spread) ** 2
     bread = np.linalg.inv(flat.T @ flat + np.diag(ridge))
-    noise = FEW_CLOUDS * score_covariance(evidence.direction, evidence.residuals, slopes)
+    noise = FEW_CLOUDS * score_covariance(evidence.direction, evidence.residuals, evidence.slopes, evidence.wide_weight)
     # Of centre less and plus a deviation, each counts half.
     held = evidence.changes.reshape(len(evidence.changes), flat.shape[0]) @ flat
     own = np.diag((ridge * evidence.spread) ** 2)

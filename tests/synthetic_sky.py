@@ -29,7 +29,7 @@ CAMERA = Equirectangular(128, 64)
 
 
 def radiance(values=HAZY_MORNING, camera=CAMERA, noise=0.01):
-    drawn = picture.draw(keyframes.scene(values), camera).sky
+    drawn = picture.draw(keyframes.scene(values), camera)["sky"]
     return drawn * np.random.default_rng(0).lognormal(0.0, noise, drawn.shape).astype(np.float32)
 
 

@@ -50,7 +50,7 @@ def fitted(noise):
 
 def variance(left):
     bread = np.linalg.inv(FLAT.T @ FLAT)
-    return (bread @ score_covariance(DIRECTION, left, SLOPES) @ bread).diagonal()
+    return (bread @ score_covariance(DIRECTION, left, SLOPES, 1.0) @ bread).diagonal()
 
 
 @pytest.mark.parametrize("degrees", DEGREES)
@@ -113,7 +113,7 @@ def test_where_nothing_is_left_over_there_is_no_variance():
 def test_a_slope_of_nothing_is_no_trouble():
     slopes = SLOPES.copy()
     slopes[..., 1] = 0.0
-    found = score_covariance(DIRECTION, fitted(fields(6.0, np.random.default_rng(6)))[1], slopes)
+    found = score_covariance(DIRECTION, fitted(fields(6.0, np.random.default_rng(6)))[1], slopes, 1.0)
     assert np.isfinite(found).all()
     assert found[1].tolist() == [0.0, 0.0, 0.0]
 

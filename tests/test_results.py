@@ -3,6 +3,7 @@ import math
 import os
 from dataclasses import replace
 from datetime import datetime, timedelta, timezone
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -25,6 +26,7 @@ SCENE = keyframes.scene(HAZY_MORNING, torch.float64)
 USED = np.zeros((CAMERA.height, CAMERA.width), bool)
 USED[4:20, 10:90] = True
 PHOTO = photo(radiance())
+SKY = partial(picture.draw, camera=CAMERA)
 
 
 def fitted(name, value):
@@ -54,7 +56,7 @@ def made_up(**changes):
 @pytest.fixture(scope="module")
 def written(tmp_path_factory):
     folder = tmp_path_factory.mktemp("results") / "new" / "folder"
-    results.write(folder, PHOTO, made_up(), Shot())
+    results.write(folder, PHOTO, made_up(), Shot(), SKY)
     return folder
 
 
@@ -91,8 +93,8 @@ def test_the_picture_is_the_weather_file_drawn(written):
     weather = weather_file.read(written / "weather.csv")
     drawn = picture.draw(keyframes.scene(keyframes.at(weather, 12.0)), CAMERA)
     with OpenEXR.File(str(written / "fitted.exr")) as file:
-        assert np.array_equal(file.parts[0].channels["RGB"].pixels, drawn.sky)
-        assert np.array_equal(file.parts[1].channels["RGB"].pixels, drawn.disc)
+        assert np.array_equal(file.parts[0].channels["RGB"].pixels, drawn["sky"])
+        assert np.array_equal(file.parts[1].channels["RGB"].pixels, drawn["sun"])
 
 
 def test_the_report_is_a_page(written):
@@ -110,7 +112,7 @@ def test_an_unknown_time_is_said(written):
 
 def test_known_place_and_time_stand_in_the_header(tmp_path):
     time = datetime(2016, 8, 14, 6, 30, tzinfo=timezone(timedelta(hours=2)))
-    results.write(tmp_path, PHOTO, made_up(), Shot(-26.2, 27.9, time, 74.0))
+    results.write(tmp_path, PHOTO, made_up(), Shot(-26.2, 27.9, time, 74.0), SKY)
     weather = weather_file.read(tmp_path / "weather.csv")
     assert weather.hours == (6.5,)
     known = {"latitude": "-26.2", "longitude": "27.9", "date": "2016-08-14", "heading": "74"}
@@ -178,7 +180,7 @@ def test_a_folder_without_permission_is_refused_before_the_fit(tmp_path):
 
 
 def test_no_result_is_replaced_when_the_last_cannot_be_written(tmp_path, monkeypatch):
-    results.write(tmp_path, PHOTO, made_up(), Shot())
+    results.write(tmp_path, PHOTO, made_up(), Shot(), SKY)
     before = {path.name: path.read_bytes() for path in tmp_path.iterdir()}
 
     def full(*_):
@@ -186,7 +188,7 @@ def test_no_result_is_replaced_when_the_last_cannot_be_written(tmp_path, monkeyp
 
     monkeypatch.setattr(results, "write_bytes", full)
     with pytest.raises(InputError, match="No space"):
-        results.write(tmp_path, PHOTO, made_up(seed=8), Shot(heading=5.0))
+        results.write(tmp_path, PHOTO, made_up(seed=8), Shot(heading=5.0), SKY)
     assert {path.name: path.read_bytes() for path in tmp_path.iterdir()} == before
 
 
@@ -229,7 +231,7 @@ def shown(monkeypatch):
         monkeypatch.setattr(report, "page", lambda _, given: kept.append(given) or "")
         monkeypatch.setattr(results, "whole_folder", None)
         with pytest.raises(TypeError):  # nothing is written
-            results.write(seen.path, seen, made_up(camera=camera, used=used), Shot())
+            results.write(seen.path, seen, made_up(camera=camera, used=used), Shot(), SKY)
         return kept[0]
 
     return pictures
@@ -262,5 +264,5 @@ def test_strange_pixels_do_not_stop_a_report(tmp_path, strange, kind):
     seen = PHOTO.radiance.astype(kind)
     seen[40, 3:9] = strange
     seen[41, 4] = -strange
-    results.write(tmp_path, photo(seen), made_up(), Shot())
+    results.write(tmp_path, photo(seen), made_up(), Shot(), SKY)
     assert sorted(path.name for path in tmp_path.iterdir()) == FILES

@@ -66,7 +66,7 @@ def test_what_is_left_over_is_the_noise(solution):
 
 
 def test_the_fitted_scene_draws_the_photo(solution):
-    drawn = picture.draw(keyframes.scene(keyframes.values(solution.scene)), CAMERA).sky
+    drawn = picture.draw(keyframes.scene(keyframes.values(solution.scene)), CAMERA)["sky"]
     apart = np.log(drawn[solution.used] / SEEN[solution.used])
     assert np.abs(apart.mean(0)).max() < 1e-3  # the gains
     assert np.sqrt((apart**2).mean()) == pytest.approx(0.01, rel=0.1)

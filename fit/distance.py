@@ -1,0 +1,62 @@
+"""How far what a photo shows is from the camera: a channel of the photo itself, or a second file."""
+
+from pathlib import Path
+from typing import Literal, get_args
+
+import numpy as np
+import torch
+from jaxtyping import Float
+
+from diffrender.rays import Camera, Perspective
+from fit import exr
+from fit.exr import bands
+from fit.input_error import InputError
+from fit.photo import Photo
+
+Kind = Literal["euclidean", "depth"]
+KINDS: tuple[str, ...] = get_args(Kind)
+SKY = 1e8  # taken for infinite [m]; some programs write 10^9 or 10^10 where there is nothing
+
+Distance = Float[np.ndarray, "height width"]
+
+
+def of(photo: Photo, path: Path | None, kind: str) -> Distance | None:
+    """Distance from the eye [m], infinite for the sky and NaN where it is not known; None without a file or channel.
+
+    Args:
+        photo: whose channel Z is used where there is no file.
+        path: OpenEXR file with a channel Z, Y or R.
+        kind: "euclidean", along each pixel's ray, or "depth", along the camera's axis.
+
+    Raises:
+        InputError: for an unknown kind, or a file that cannot be read, has another size or no distance above 0.
+    """
+    if kind not in KINDS:
+        raise InputError(f"--distance-kind {kind} is unknown; allowed are {', '.join(KINDS)}")
+    given = exr.read_channel(path, ("Z", "Y", "R")) if path is not None else photo.distance
+    if given is None:
+        return None
+    source = path or photo.path
+    camera = photo.camera
+    if given.shape != (camera.height, camera.width):
+        raise InputError(
+            f"{source} has distances for {given.shape[1]} x {given.shape[0]} pixels, but the photo is "
+            f"{camera.width} x {camera.height}; give one for each pixel"
+        )
+    far = np.where(given >= SKY, np.float32(np.inf), given)
+    far[~(far > 0.0)] = np.nan
+    if not np.isfinite(far).any():
+        raise InputError(f"{source} holds no distance between 0 and {SKY:g} m; give metres, larger ones for the sky")
+    return _along_rays(far, camera, source) if kind == "depth" else far
+
+
+def _along_rays(depth: Distance, camera: Camera, source: Path) -> Distance:
+    if not isinstance(camera, Perspective):
+        raise InputError(f"{source}: only a perspective picture has a depth; give --distance-kind euclidean")
+    ahead = camera.direction(torch.tensor(camera.width / 2.0), torch.tensor(camera.height / 2.0))
+    for rows in bands(camera.height):
+        x = torch.arange(camera.width) + 0.5
+        y = torch.arange(*rows.indices(camera.height)) + 0.5
+        columns, lines = torch.meshgrid(x, y, indexing="xy")
+        depth[rows] /= (camera.direction(columns, lines) @ ahead).numpy()
+    return depth

@@ -1,0 +1,240 @@
+"""`fit fog`: height fog fitted to one HDR photo whose distances are known.
+
+The strengths of all lights are solved in closed form: that of the sun in the fog, that of the even sky in it, and where
+the picture without fog is not known that of surfaces and of the sky behind, alike in all of the picture. Searched are
+density, colour and height of the fog, its phase function, and how the light on surfaces changes.
+
+Without distances only the sky is looked at, near the horizon, and only the fog's whole column can be told.
+"""
+
+import time
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from functools import partial
+from importlib.metadata import version
+from itertools import product
+from pathlib import Path
+
+import numpy as np
+import torch
+
+from diffrender.atmosphere.celestial import Sun
+from diffrender.atmosphere.height_fog import HeightFog
+from diffrender.parameters import defaults
+from diffrender.scene import Exposure, Scene, places, skylight, weather_names
+from fit import account, foggy_photo, hidden_sun, keyframes, sun
+from fit import photo as photos
+from fit.fog_objective import FogObjective, Lights
+from fit.foggy_photo import FoggyPhoto, Options
+from fit.gauss_newton import half_square
+from fit.input_error import InputError
+from fit.minimum import INTERRUPTED, Budget, Point
+from fit.photo import Photo
+from fit.search_space import SearchSpace
+from fit.solution import Solution, SunPlace
+from fit.solvers import solver
+from fit.uncertainty import Evidence, Uncertainty, uncertainty
+from fit.weather_file import check
+
+PIXELS = 4000  # that a fit looks at
+COARSE_PIXELS = 500  # at which starts are compared
+STARTS = tuple(product((1e-4, 1e-3, 1e-2), (15.0, 60.0, 240.0)))  # extinction [1/m] and scale height [m]
+# Variance of what is wider than a pixel, over what the residuals show of it. It is light scattered twice and shadows in
+# the fog, which the model does not have and its parameters hide: five path-traced scenes ask for it.
+MISFIT = 50.0
+DIMMEST_SUN = 0.1  # irradiance of a sun that is not seen, over the sky's radiance
+
+# The tints' common factor is the extinction's, and with the base height exactly so; both stay where they are.
+SEARCHED = (
+    "HEIGHT_FOG_EXTINCTION",
+    "HEIGHT_FOG_SCALE_HEIGHT",
+    "HEIGHT_FOG_EXTINCTION_TINT_R",
+    "HEIGHT_FOG_EXTINCTION_TINT_B",
+    "HEIGHT_FOG_ASYMMETRY",
+    "HEIGHT_FOG_RAYLEIGH_SHARE_R",
+    "HEIGHT_FOG_RAYLEIGH_SHARE_G",
+    "HEIGHT_FOG_RAYLEIGH_SHARE_B",
+)
+SEARCHED_IN_THE_SKY = ("HEIGHT_FOG_EXTINCTION",)
+IN_CLOSED_FORM = ("HEIGHT_FOG_SUN_TINT", "HEIGHT_FOG_AMBIENT_TINT")
+SURFACES = "light on surfaces"  # the one coordinate of a search that is no parameter
+
+
+def fit(photo: Photo | Path, options: Options | None = None) -> Solution:
+    """Scene whose fog looks like the photo's, and the account of the fit.
+
+    Raises:
+        InputError: when the photo, a file beside it or an option cannot be used; the message says what to do.
+    """
+    return solve(photo if isinstance(photo, Photo) else photos.read(photo), options or Options()).solution
+
+
+@dataclass(frozen=True, eq=False)
+class Fogged:
+    """A solution, with what it takes to draw it."""
+
+    solution: Solution
+    seen: FoggyPhoto
+    objective: FogObjective
+
+
+def solve(photo: Photo, options: Options) -> Fogged:
+    """Solution of a fit, and what it takes to draw it.
+
+    Raises:
+        InputError: as `fit` does.
+    """
+    began = time.monotonic()
+    minimise = solver(options.solver)
+    place = sun.checked(photo, options.sun) if options.sun else sun.find(photo)
+    home = _home(options, place)
+    seen = foggy_photo.seen(photo, options, home)
+    read = time.monotonic()
+    space = _space(options, home, seen, place)
+    objective = seen.objective(space, PIXELS, options.seed)
+    start = _start(seen.objective(space, COARSE_PIXELS, options.seed), options)
+    minimum = minimise(objective, start, Budget(seconds=options.seconds, seed=options.seed))
+    known = _known(objective, minimum.point)
+    left_out = {name: why for name, why in zip((*space.free, SURFACES), known.why, strict=False) if why}
+    pinned = [name for name in space.free if name in left_out and name not in options.free]
+    if pinned and minimum.reason != INTERRUPTED:
+        # What the photo leaves open goes to where it was at home, and the rest is searched again.
+        kept = [index for index, name in enumerate(space.free) if name not in pinned]
+        kept += list(range(len(space.free), len(minimum.point)))
+        space = SearchSpace(home, tuple(name for name in space.free if name not in pinned))
+        objective = replace(objective, space=space)
+        minimum = minimise(objective, minimum.point[kept], Budget(seconds=options.seconds, seed=options.seed))
+        known = _known(objective, minimum.point)
+    point = torch.from_numpy(minimum.point)
+    lights = objective.lights(point)
+    scene = _lit(home, space.scene(point[: len(space.free)]), lights)
+    solved = time.monotonic()
+    held = partial(_unsearched, options=options, left_out=left_out)
+    parameters = account.parameters(scene, space, known, held)
+    kept = [index for index, name in enumerate(space.free) if parameters[name].determined]
+    difference = torch.log(lights.picture() / objective.pixels.radiance)
+    solution = Solution(
+        effect="fog",
+        photo=photo.path.name,
+        camera=photo.camera,
+        notes=(*photo.notes, *seen.notes, *_degeneracies(options)),
+        scene=scene,
+        parameters=parameters,
+        correlated=tuple(space.free[index] for index in kept),
+        correlation=known.correlation[np.ix_(kept, kept)],
+        sun=hidden_sun.place(place, parameters, space.free),
+        gains=account.gains(scene),
+        used=seen.used,
+        pixels={"used": int(seen.used.sum()), "masked": seen.used.size - int(seen.used.sum()), **photo.counts()},
+        left_out=left_out | {name: why for name, why in zip((*space.free, SURFACES), known.why, strict=False) if why},
+        error=float(difference[difference.isfinite()].square().mean()),
+        minimum=minimum,
+        solver=options.solver,
+        seed=options.seed,
+        seconds={"read": read - began, "solve": solved - read},
+        versions={name: version(name) for name in ("diffrender", "torch", "numpy", "scipy", "nlopt")},
+    )
+    return Fogged(solution, seen, objective)
+
+
+# What is searched
+
+
+def _home(options: Options, place: SunPlace) -> Scene:
+    """Scene of what is not searched: given values, those of the weather file to start at, defaults."""
+    known = weather_names()
+    for name in (*options.fixed, *options.free):
+        if name not in known:
+            check(name, 0.0)
+        if name.startswith(IN_CLOSED_FORM) or not name.startswith(("HEIGHT_FOG_", "SUN_ELEVATION", "SUN_AZIMUTH")):
+            raise InputError(f"{name} is not for a fog fit's --fix and --free; give one of HEIGHT_FOG_, but no tint")
+    plain = Scene(defaults(Exposure), defaults(Sun), sky=None, height_fog=defaults(HeightFog))
+    given = {} if options.start is None else keyframes.values(options.start)
+    sun_now = {"SUN_ELEVATION": place.elevation, "SUN_AZIMUTH": place.azimuth}
+    return keyframes.scene({**keyframes.values(plain), **given, **sun_now, **options.fixed}, torch.float64)
+
+
+def _space(options: Options, home: Scene, seen: FoggyPhoto, place: SunPlace) -> SearchSpace:
+    searched = SEARCHED_IN_THE_SKY if seen.distance is None else SEARCHED
+    if options.sun is None and not place.visible:
+        searched = (*searched, "SUN_ELEVATION", "SUN_AZIMUTH")
+    names = dict.fromkeys((*searched, *options.free))
+    return SearchSpace(home, tuple(name for name in names if name not in options.fixed))
+
+
+def _start(objective: FogObjective, options: Options) -> Point:
+    """Of densities and heights of fog, the best; or where the weather file to start at has it."""
+    space = objective.space
+    begun = np.append(space.point(space.start), [0.5] * objective.extra)
+    if options.start is not None and options.start.height_fog is not None:
+        return begun
+    known = places()
+    tried = []
+    for extinction, scale_height in STARTS:
+        point = begun.copy()
+        for name, number in (("HEIGHT_FOG_EXTINCTION", extinction), ("HEIGHT_FOG_SCALE_HEIGHT", scale_height)):
+            if name in space.free:
+                unit = known[name].specification.to_unit(torch.tensor(number, dtype=torch.float64))
+                point[space.free.index(name)] = float(unit)
+        tried.append(point)
+    best: Point = min(tried, key=lambda point: half_square(objective.residuals(torch.from_numpy(point))))
+    return best
+
+
+# What was found
+
+
+def _known(objective: FogObjective, point: Point) -> Uncertainty:
+    residuals, slopes = objective.jacobian(torch.from_numpy(point))
+    shape = tuple(objective.pixels.radiance.shape)
+    count = objective.pixels.radiance.numel()
+    return uncertainty(
+        Evidence(
+            direction=objective.pixels.rays.direction.numpy(),
+            residuals=residuals[:count].reshape(shape).numpy(),
+            slopes=slopes[:count].reshape(*shape, point.size).numpy(),
+            changes=np.zeros((0, *shape)),
+            spread=np.ones(point.size),
+            wide_weight=MISFIT,
+        ),
+        point,
+    )
+
+
+def _lit(home: Scene, scene: Scene, lights: Lights) -> Scene:
+    """Scene whose sun and sky light the fog as strongly as was found.
+
+    Where no weather file tells how bright the sun is, the sun takes its strength; else the fog's tints do.
+    """
+    assert scene.height_fog is not None
+    fog = scene.height_fog
+    of_sun, of_sky = lights.strength[0] / fog.albedo, lights.ambient() / fog.albedo
+    if home.sky is None:
+        # Behind thick fog no sun is seen; then a dim one stands for it.
+        irradiance = torch.maximum(of_sun, DIMMEST_SUN * of_sky.max() * torch.ones_like(of_sun))
+        scene = account.exposed(scene, irradiance)
+        fog = replace(fog, sun_tint=of_sun / irradiance)
+    else:
+        fog = replace(fog, sun_tint=of_sun / (scene.exposure.exposure * scene.sun.irradiance))
+    return replace(scene, height_fog=replace(fog, ambient_tint=of_sky / skylight(scene)))
+
+
+def _unsearched(name: str, options: Options, left_out: Mapping[str, str]) -> str:
+    if name in left_out:
+        return left_out[name]
+    if name in options.fixed:
+        return "given"
+    if name.startswith(IN_CLOSED_FORM):
+        return "closed form"
+    if name.startswith(("EXPOSURE", "SUN_IRRADIANCE")):
+        return "closed form" if options.start is None else "kept"
+    if name.startswith("SUN_"):
+        return "given" if options.sun else "taken from the photo"
+    return "kept" if options.start is not None else "default"
+
+
+def _degeneracies(options: Options) -> list[str]:
+    notes = ["albedo and light are seen as their product: the albedo stays, the lights take the rest"]
+    if "HEIGHT_FOG_BASE_HEIGHT" not in options.free:
+        notes.append("base height and extinction are seen as one density: the base height stays")
+    return notes
