@@ -206,7 +206,7 @@ def test_the_summary_says_what_was_found():
 def test_a_searched_sun_has_its_errors_in_account_report_and_summary(tmp_path):
     sun = SunPlace(6.0, -100.0, "searched", visible=False, elevation_standard_error=0.25, azimuth_standard_error=1.5)
     solution = made_up(sun=sun)
-    results.write(tmp_path / "out", PHOTO, solution, Shot())
+    results.write(tmp_path / "out", PHOTO, solution, Shot(), SKY)
     account = json.loads((tmp_path / "out" / "fit.json").read_text())
     assert (account["sun"]["elevation_standard_error"], account["sun"]["azimuth_standard_error"]) == (0.25, 1.5)
     assert "standard errors 0.25° and 1.5°" in (tmp_path / "out" / "report.html").read_text("utf-8")
