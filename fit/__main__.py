@@ -47,14 +47,24 @@ Latitude = Annotated[
     typer.Option(min=-90, max=90, help="Degrees north; with --longitude and --time it places the sun."),
 ]
 Longitude = Annotated[float | None, typer.Option(min=-180, max=180, help="Degrees east.")]
+Photo = Annotated[Path, typer.Argument(help="OpenEXR or Radiance .hdr file.")]
+Out = Annotated[Path | None, typer.Option(help="Folder for the results; else tuned/<photo name>.")]
+Mask = Annotated[Path | None, typer.Option(help="PNG of the photo's size; white is used.")]
+Start = Annotated[Path | None, typer.Option(help="Weather file to begin at; keeps what is not free.")]
+Fix = Annotated[list[str] | None, typer.Option(metavar="NAME=VALUE", help="Hold a parameter; repeatable.")]
+Free = Annotated[list[str] | None, typer.Option(metavar="NAME", help="Search one more; repeatable.")]
+Solver = Annotated[str, typer.Option(help="least-squares, nlopt:NAME, adam or lbfgs.")]
+Seconds = Annotated[float | None, typer.Option(min=1e-3, help="Take the best after this long; not repeatable.")]
+Seed = Annotated[int, typer.Option(min=0, max=2**31 - 1, help="Of the sample of pixels and of solvers that draw.")]
+Quiet = Annotated[bool, typer.Option("--quiet", help="Print nothing but errors.")]
 Time = Annotated[str | None, typer.Option(help="With its zone, such as 2016-08-14T06:30+02:00.")]
 
 
 @app.command()
 def sky(
-    photo: Annotated[Path, typer.Argument(help="OpenEXR or Radiance .hdr file.")],
-    out: Annotated[Path | None, typer.Option(help="Folder for the results; else tuned/<photo name>.")] = None,
-    mask: Annotated[Path | None, typer.Option(help="PNG of the photo's size; white is used.")] = None,
+    photo: Photo,
+    out: Out = None,
+    mask: Mask = None,
     sun: Sun = None,
     latitude: Latitude = None,
     longitude: Longitude = None,
@@ -63,17 +73,13 @@ def sky(
     projection: Projection = None,
     fov: FieldOfView = None,
     pitch: Pitch = 0.0,
-    start: Annotated[Path | None, typer.Option(help="Weather file to begin at; keeps what is not free.")] = None,
-    fix: Annotated[list[str] | None, typer.Option(metavar="NAME=VALUE", help="Hold a parameter; repeatable.")] = None,
-    free: Annotated[list[str] | None, typer.Option(metavar="NAME", help="Search one more; repeatable.")] = None,
-    solver: Annotated[str, typer.Option(help="least-squares, nlopt:NAME, adam or lbfgs.")] = "least-squares",
-    seconds: Annotated[
-        float | None, typer.Option(min=1e-3, help="Take the best after this long; not repeatable.")
-    ] = None,
-    seed: Annotated[
-        int, typer.Option(min=0, max=2**31 - 1, help="Of the sample of pixels and of solvers that draw.")
-    ] = 0,
-    quiet: Annotated[bool, typer.Option("--quiet", help="Print nothing but errors.")] = False,
+    start: Start = None,
+    fix: Fix = None,
+    free: Free = None,
+    solver: Solver = "least-squares",
+    seconds: Seconds = None,
+    seed: Seed = 0,
+    quiet: Quiet = False,
 ) -> int:
     """Fit air, haze and clouds to the sky of a photo.
 
@@ -110,14 +116,14 @@ def sky(
 
 @app.command()
 def fog(
-    photo: Annotated[Path, typer.Argument(help="OpenEXR or Radiance .hdr file.")],
+    photo: Photo,
     distance: Annotated[Path | None, typer.Option(help="OpenEXR of distances, m; else the photo's channel Z.")] = None,
     distance_kind: Annotated[str, typer.Option(help="euclidean, along rays, or depth, along the axis.")] = "euclidean",
     clear: Annotated[Path | None, typer.Option(help="The same view without fog.")] = None,
     eye_height: Annotated[float, typer.Option(help="Altitude of the camera above the fog's altitude 0, m.")] = 2.0,
     with_sky: Annotated[bool, typer.Option("--with-sky", help="Fit the sky of the photo first.")] = False,
-    out: Annotated[Path | None, typer.Option(help="Folder for the results; else tuned/<photo name>.")] = None,
-    mask: Annotated[Path | None, typer.Option(help="PNG of the photo's size; white is used.")] = None,
+    out: Out = None,
+    mask: Mask = None,
     sun: Sun = None,
     latitude: Latitude = None,
     longitude: Longitude = None,
@@ -126,17 +132,13 @@ def fog(
     projection: Projection = None,
     fov: FieldOfView = None,
     pitch: Pitch = 0.0,
-    start: Annotated[Path | None, typer.Option(help="Weather file to begin at; keeps what is not free.")] = None,
-    fix: Annotated[list[str] | None, typer.Option(metavar="NAME=VALUE", help="Hold a parameter; repeatable.")] = None,
-    free: Annotated[list[str] | None, typer.Option(metavar="NAME", help="Search one more; repeatable.")] = None,
-    solver: Annotated[str, typer.Option(help="least-squares, nlopt:NAME, adam or lbfgs.")] = "least-squares",
-    seconds: Annotated[
-        float | None, typer.Option(min=1e-3, help="Take the best after this long; not repeatable.")
-    ] = None,
-    seed: Annotated[
-        int, typer.Option(min=0, max=2**31 - 1, help="Of the sample of pixels and of solvers that draw.")
-    ] = 0,
-    quiet: Annotated[bool, typer.Option("--quiet", help="Print nothing but errors.")] = False,
+    start: Start = None,
+    fix: Fix = None,
+    free: Free = None,
+    solver: Solver = "least-squares",
+    seconds: Seconds = None,
+    seed: Seed = 0,
+    quiet: Quiet = False,
 ) -> int:
     """Fit height fog to a photo, best with its distances and the same view without fog.
 
@@ -144,7 +146,7 @@ def fog(
     """
     with _progress("starting", quiet):
         from fit import fog as fog_fit
-        from fit import fog_picture, foggy_photo, options, results
+        from fit import fog_picture, options, results
         from fit import photo as photos
         from fit import sky as sky_fit
         from fit import sun as sun_place
@@ -158,7 +160,7 @@ def fog(
         seen = photos.read(photo, projection, fov, pitch)
         if with_sky:
             begun = sky_fit.fit(seen, sky_fit.Options(sun=place, start=begun, solver=solver, seed=seed)).scene
-        asked = foggy_photo.Options(
+        asked = fog_fit.Options(
             distance=distance,
             distance_kind=distance_kind,
             clear=clear,
@@ -227,7 +229,7 @@ def tables(
     form: Annotated[
         str, typer.Option(help="two-tables (FFXV) or in-scatter (Decima); photos: two-tables.")
     ] = "two-tables",
-    quiet: Annotated[bool, typer.Option("--quiet", help="Print nothing but errors.")] = False,
+    quiet: Quiet = False,
 ) -> None:
     """Make tables of the sky over the sun's elevation, from which `fit render --tables` draws."""
     with _progress("making tables", quiet):

@@ -36,6 +36,8 @@ from fit.solvers import solver
 from fit.uncertainty import Evidence, Uncertainty, uncertainty
 from fit.weather_file import check
 
+__all__ = ["Fogged", "Options", "fit", "solve"]
+
 PIXELS = 4000  # that a fit looks at
 COARSE_PIXELS = 500  # at which starts are compared
 STARTS = tuple(product((1e-4, 1e-3, 1e-2), (15.0, 60.0, 240.0)))  # extinction [1/m] and scale height [m]

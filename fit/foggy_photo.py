@@ -1,7 +1,6 @@
 """A photo of fog, with what is known beside it: distances, the same view without fog, the sky behind."""
 
-from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -12,7 +11,7 @@ from torch import Tensor
 from diffrender.atmosphere import sky
 from diffrender.rays import Rays, pixel_centres
 from diffrender.scene import Scene, sky_view
-from fit import distance, sky_mask, sun
+from fit import asked, distance, sky_mask, sun
 from fit import photo as photos
 from fit.exr import bands
 from fit.fog_objective import FogObjective, FogPixels
@@ -20,7 +19,6 @@ from fit.input_error import InputError
 from fit.photo import Photo
 from fit.pixels import usable
 from fit.search_space import SearchSpace
-from fit.solution import SunPlace
 
 LEAST_PIXELS = 100
 SMOOTHED = 2  # pixels to each side of one, whose mean tells how bright the photo is there
@@ -29,36 +27,20 @@ BAND_TOP = float(np.sin(np.radians(20.0)))  # of the sky that is looked at where
 
 
 @dataclass(frozen=True)
-class Options:
-    """What may be asked of a fit.
+class Options(asked.Options):
+    """What may be asked of a fog fit beside what may be asked of every fit.
 
     Attributes:
         distance: OpenEXR file; None takes the photo's own channel Z, if it has one.
         distance_kind: "euclidean", along rays, or "depth", along the camera's axis.
         clear: the same view without fog; None where it is not known.
         eye_height: of the camera above the altitude 0 that base heights count from [m].
-        mask: picture whose white pixels are used; None uses all.
-        sun: where the sun stands; None finds it in the picture.
-        start: scene to begin at, whose values stay where they are not searched.
-        fixed: names of weather files held at values in files' units.
-        free: further names to search.
-        solver: as on the command line.
-        seconds: after which the best so far is taken; None gives the same result on every machine.
-        seed: of the sample of pixels and of solvers that draw.
     """
 
     distance: Path | None = None
     distance_kind: str = "euclidean"
     clear: Path | None = None
     eye_height: float = 2.0
-    mask: Path | None = None
-    sun: SunPlace | None = None
-    start: Scene | None = None
-    fixed: Mapping[str, float] = field(default_factory=dict)
-    free: tuple[str, ...] = ()
-    solver: str = "least-squares"
-    seconds: float | None = None
-    seed: int = 0
 
 
 @dataclass(frozen=True, eq=False)

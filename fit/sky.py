@@ -2,7 +2,7 @@
 
 import time
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from importlib.metadata import version
 from pathlib import Path
 
@@ -15,6 +15,7 @@ from diffrender.atmosphere import celestial, sky
 from diffrender.scene import Scene, places, sky_view, weather_names
 from fit import account, hidden_sun, keyframes, night, sky_mask, sun
 from fit import photo as photos
+from fit.asked import Options
 from fit.input_error import InputError
 from fit.minimum import INTERRUPTED, Budget, Minimum, Point
 from fit.objective import Sample, SkyObjective
@@ -26,6 +27,8 @@ from fit.solution import Fitted, Solution, SunPlace
 from fit.solvers import solver
 from fit.uncertainty import Uncertainty, evidence, uncertainty
 from fit.weather_file import check
+
+__all__ = ["POOL", "SEARCHED", "Options", "Solved", "fit", "solve"]
 
 SEARCHED = (
     "SKY_HAZINESS",
@@ -61,31 +64,6 @@ FINE = sky.Size(rows=16, columns=5, steps=24, heights=6, suns=8, steps_around=6)
 COARSE_PIXELS, FINE_PIXELS = 400, 1200
 ROUGH_BUDGET, FINE_BUDGET = Budget(tolerance=3e-3), Budget(tolerance=1e-3)
 LATE_BUDGET = Budget(tolerance=3e-4, evaluations=60)  # of what is searched on top of what was found
-
-
-@dataclass(frozen=True)
-class Options:
-    """What may be asked of a fit.
-
-    Attributes:
-        mask: picture whose white pixels are used; None finds the sky.
-        sun: where the sun stands; None finds it.
-        start: scene to begin at, whose values stay where they are not searched.
-        fixed: names of weather files held at values in files' units.
-        free: further names to search.
-        solver: as on the command line.
-        seconds: after which the best so far is taken; None gives the same result on every machine.
-        seed: of the sample of pixels and of solvers that draw.
-    """
-
-    mask: Path | None = None
-    sun: SunPlace | None = None
-    start: Scene | None = None
-    fixed: Mapping[str, float] = field(default_factory=dict)
-    free: tuple[str, ...] = ()
-    solver: str = "least-squares"
-    seconds: float | None = None
-    seed: int = 0
 
 
 def fit(photo: Photo | Path, options: Options | None = None) -> Solution:

@@ -1,0 +1,33 @@
+"""What may be asked of every fit to a photo."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from diffrender.scene import Scene
+from fit.solution import SunPlace
+
+
+@dataclass(frozen=True)
+class Options:
+    """What may be asked of a fit.
+
+    Attributes:
+        mask: picture whose white pixels are used; None finds them.
+        sun: where the sun stands; None finds it.
+        start: scene to begin at, whose values stay where they are not searched.
+        fixed: names of weather files held at values in files' units.
+        free: further names to search.
+        solver: as on the command line.
+        seconds: after which the best so far is taken; None gives the same result on every machine.
+        seed: of the sample of pixels and of solvers that draw.
+    """
+
+    mask: Path | None = None
+    sun: SunPlace | None = None
+    start: Scene | None = None
+    fixed: Mapping[str, float] = field(default_factory=dict)
+    free: tuple[str, ...] = ()
+    solver: str = "least-squares"
+    seconds: float | None = None
+    seed: int = 0
