@@ -294,6 +294,17 @@ def test_gradients_are_finite_in_all_that_a_sky_depends_on(dtype, rung, eye_alti
     assert all(slope.isfinite().all() for slope in slopes)
 
 
+@pytest.mark.parametrize("sun", [90.0, 60.0, 1.0])
+def test_gradient_by_the_suns_direction_in_float32_follows_float64(sun):
+    found = []
+    for dtype in (torch.float32, torch.float64):
+        seen = pytree.tree_map(lambda tensor, dtype=dtype: tensor.float().to(dtype), view(sun, grid()))
+        towards_sun = seen.to_sun.clone().requires_grad_()
+        drawn = draw(replace(seen, to_sun=towards_sun), pytree.tree_map(lambda t, dtype=dtype: t.to(dtype), CLEAR))
+        found.append(torch.autograd.grad(drawn.sum(), towards_sun)[0].double())
+    assert (found[0] - found[1]).norm() < 1e-3 * found[1].norm()
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("rung", DRAWING)
 @pytest.mark.parametrize("sun", [80.0, 3.0, -4.0])
