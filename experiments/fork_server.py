@@ -158,8 +158,9 @@ def main() -> None:
             command.main()
     gc.collect()
     gc.freeze()  # a collection in a child would copy all that it shares with the server
-    for answer in serve(iter(sys.stdin.readline, "")):
-        print(answer, file=answers, flush=True)
+    with contextlib.suppress(BrokenPipeError):  # the experiment has been ended
+        for answer in serve(iter(sys.stdin.readline, "")):
+            print(answer, file=answers, flush=True)
     gc.unfreeze()  # what is left uncollected at the end, OpenImageIO reports as leaked
 
 
