@@ -27,7 +27,7 @@ from experiments.records import RESULTS, table, write
 from experiments.whole_results import FILES, faults, file_fault
 
 PHOTO = Path(__file__).parent / "photos" / "spruit_sunrise.exr"
-WATCH = 0.0005  # seconds between two looks for the folder that is written aside
+WATCH = 0.0002  # seconds between two looks for the folder that is written aside
 
 
 @dataclass(frozen=True)
@@ -55,7 +55,7 @@ class Kill:
 
 @dataclass(frozen=True)
 class Pace:
-    """How long an unbroken run takes, and the last part of it, in which it writes."""
+    """Seconds that an unbroken run takes, and that its files lie aside before they are in their places."""
 
     whole: float
     writing: float
@@ -77,12 +77,13 @@ class Runs:
         """Of a run that ends by itself."""
         began = time.monotonic()
         process = self.start(out)
-        wrote = _writes(process, out)
+        first = _seen(process, out, is_aside=True)
+        last = _seen(process, out, is_aside=False)
         status = process.wait()
         ended = time.monotonic()
         if status not in (0, 1):
             raise RuntimeError(f"the run ended with status {status}")
-        return Pace(ended - began, ended - wrote)
+        return Pace(ended - began, last - first)
 
     def killed(self, out: Path, pace: Pace, generator: np.random.Generator, *, while_writing: bool) -> Kill:
         """A run that is killed."""
@@ -90,7 +91,7 @@ class Runs:
         process = self.start(out)
         delay = float(generator.uniform(0.0, pace.writing if while_writing else pace.whole))
         if while_writing:
-            _writes(process, out)
+            _seen(process, out, is_aside=True)
         time.sleep(delay)
         process.send_signal(signal.SIGKILL)
         status = process.wait()
@@ -102,10 +103,10 @@ class Runs:
         return Kill(while_writing, delay, had_results, status, len(present), len(left) - len(present), tuple(wrong))
 
 
-def _writes(process: subprocess.Popen[bytes], out: Path) -> float:
-    """Time when a run is seen to write its files, or to have ended."""
-    before = set(out.iterdir()) if out.exists() else set()
-    while process.poll() is None and not (out.exists() and set(out.iterdir()) - before):
+def _seen(process: subprocess.Popen[bytes], out: Path, *, is_aside: bool) -> float:
+    """Time when a run is seen to write aside, or no longer to do so, or to have ended."""
+    earlier = set(out.glob(".*.part"))  # of runs that were killed
+    while process.poll() is None and bool(set(out.glob(".*.part")) - (earlier if is_aside else set())) != is_aside:
         time.sleep(WATCH)
     return time.monotonic()
 
