@@ -109,16 +109,16 @@ def read_channel(path: Path, names: Sequence[str]) -> Float[np.ndarray, "height 
         InputError: when there is none, when the file is damaged, or when it is too large.
     """
     _headers(path)
-    for header, channels in _parts(path, header_only=False):
-        found = [name for name in names if name in channels and header["type"] not in DEEP]
-        if found:
-            data, display = _window(header, "dataWindow"), _window(header, "displayWindow")
-            values = np.array(channels[found[0]], np.float32)
-            if values.shape != (data.height, data.width):
-                raise InputError(f"{path} has fewer pixels in {found[0]} than its window; export it at full resolution")
-            placed: Float[np.ndarray, "height width"] = _placed(path, values, data, display)
-            return placed
-    raise InputError(f"{path} has none of the channels {', '.join(names)}; export one of them without a layer's name")
+    flat = [(header, channels) for header, channels in _parts(path, header_only=False) if header["type"] not in DEEP]
+    found = [(header, channels[name]) for header, channels in flat for name in names if name in channels]
+    if not found:
+        raise InputError(f"{path} has none of the channels {', '.join(names)}; export one without a layer's name")
+    header, channel = found[0]
+    data, display = _window(header, "dataWindow"), _window(header, "displayWindow")
+    if channel.shape != (data.height, data.width):
+        raise InputError(f"{path} has a distance for fewer pixels than its window; export it at full resolution")
+    placed: Float[np.ndarray, "height width"] = _placed(path, np.array(channel, np.float32), data, display)
+    return placed
 
 
 def write(path: Path, parts: Mapping[str, Mapping[str, Values | Radiance]], metadata: Mapping[str, object]) -> None:
