@@ -193,9 +193,6 @@ def bands(height: int) -> Iterator[slice]:
     return (slice(top, min(top + BAND, height)) for top in range(0, height, BAND))
 
 
-# The file as OpenEXR gives it
-
-
 def _headers(path: Path) -> list[dict[str, Any]]:
     """Header of each part, after a look at what the file is and how large."""
     if not first_bytes(path).startswith(MAGIC):
