@@ -3,6 +3,7 @@
 Not a conftest.py, which would import diffrender before its types can be checked at run time.
 """
 
+import signal
 import sys
 
 import numpy as np
@@ -18,6 +19,8 @@ from fit import png, weather_file
 def run(monkeypatch, capfd):
     """Run the command in this process: exit status, standard output, standard error."""
     threads = torch.get_num_threads()
+    # A shell ignores the interrupt for what it runs in the background, and a test run passes that on.
+    handler = signal.signal(signal.SIGINT, signal.default_int_handler)
 
     def run(*words):
         monkeypatch.setattr(sys, "argv", ["fit", *map(str, words)])
@@ -28,6 +31,7 @@ def run(monkeypatch, capfd):
         return ended.value.code or 0, told.out, told.err
 
     yield run
+    signal.signal(signal.SIGINT, handler)
     torch.set_num_threads(threads)  # the command sets those of its process, which here is that of all tests
 
 
