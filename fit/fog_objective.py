@@ -111,36 +111,44 @@ class FogObjective:
         scene = self.space.scene(point[: len(self.space.free)])
         assert scene.height_fog is not None  # a search space of the fog has one
         pixels, fog = self.pixels, scene.height_fog
-        transmittance = torch.exp(-torch.clamp(height_fog.optical_depth(fog, pixels.rays), max=height_fog.OPAQUE))
-        seen = [*_scattered(fog, scene, pixels.rays)]
+        depth = torch.clamp(height_fog.optical_depth(fog, pixels.rays), max=height_fog.OPAQUE)
+        transmittance = torch.exp(-depth)
+        mass = _mass(fog, scene, pixels.rays)
+        seen = [_sunlit(fog, scene, pixels.rays, mass), *_from_above_and_below(pixels.rays, opacity(depth))]
         known = torch.zeros_like(transmittance)
         if pixels.clear is None:
             is_surface = (~pixels.rays.length.isinf())[:, None]
             seen += [transmittance * is_surface, transmittance * pixels.behind]
         else:
-            lost = opacity(depth_to_sun(fog, scene, pixels.rays))
+            lost = opacity(depth_to_sun(fog, pixels.rays, mass))
             known = pixels.clear * transmittance * (1.0 + (2.0 * point[-1] - 1.0) * lost)
         columns = torch.stack(seen, -2)
         return Lights(columns, known, _strengths(columns / self.scale[:, None], (pixels.radiance - known) / self.scale))
 
 
-def _scattered(fog: HeightFog, scene: Scene, rays: Rays) -> tuple[Tensor, Tensor, Tensor]:
-    """Light of a sun of irradiance 1, and of a sky and a ground of radiance 2, that the fog sends to the eye."""
+def _mass(fog: HeightFog, scene: Scene, rays: Rays) -> Float[Tensor, "1"]:
+    """Air mass towards the sun at the eye, which all rays share; what they meet is so near that it has the same."""
+    eye = Rays(rays.origin[:1], rays.direction[:1], rays.length[:1])
+    return height_fog.air_mass(fog, eye, to_sun(scene.sun))
+
+
+def _sunlit(fog: HeightFog, scene: Scene, rays: Rays, mass: Float[Tensor, "1"]) -> Float[Tensor, "n 3"]:
+    """Light of a sun of irradiance 1 that the fog sends to the eye."""
     one = torch.ones_like(fog.albedo)
     view = FogView(rays, torch.zeros_like(rays.direction), to_sun(scene.sun), one, one)
-    mass = height_fog.air_mass(fog, rays, view.to_sun)
-    sun = height_fog.phase(fog, view) * height_fog.sun_share(fog, rays, mass)
-    thick = opacity(torch.clamp(height_fog.optical_depth(fog, rays), max=height_fog.OPAQUE))
+    return height_fog.phase(fog, view) * height_fog.sun_share(fog, rays, mass)
+
+
+def _from_above_and_below(rays: Rays, thick: Float[Tensor, "n 3"]) -> tuple[Tensor, Tensor]:
+    """Light of a sky and of a ground of radiance 2 that fog of an opacity sends to the eye."""
     from_above = torch.tanh(TURN * rays.direction[..., 2:])
-    return sun, thick * (1.0 + from_above), thick * (1.0 - from_above)
+    return thick * (1.0 + from_above), thick * (1.0 - from_above)
 
 
-def depth_to_sun(fog: HeightFog, scene: Scene, rays: Rays) -> Float[Tensor, "n 3"]:
-    """Optical depth of the fog between what the rays meet and the sun; 0 for the sky."""
-    met = rays.origin + rays.direction * torch.where(rays.length.isinf(), 0.0, rays.length)[..., None]
-    ends = Rays(met, to_sun(scene.sun).expand_as(met), rays.length.new_tensor(torch.inf))
-    mass = height_fog.air_mass(fog, ends, to_sun(scene.sun))
-    dense = torch.exp(-(met[..., 2] - fog.base_height) / fog.scale_height)
+def depth_to_sun(fog: HeightFog, rays: Rays, mass: Float[Tensor, "1"]) -> Float[Tensor, "n 3"]:
+    """Optical depth of the fog between what the rays meet and a sun of an air mass; 0 for the sky."""
+    met = rays.origin[..., 2] + rays.direction[..., 2] * torch.where(rays.length.isinf(), 0.0, rays.length)
+    dense = torch.exp(-(met - fog.base_height) / fog.scale_height)
     depth = height_fog.extinction(fog) * (fog.scale_height * mass * dense)[..., None]
     return torch.clamp(depth, max=height_fog.OPAQUE) * (~rays.length.isinf())[..., None]
 
