@@ -242,3 +242,24 @@ def fog_scale_heights(path: Path) -> None:
     figure.supylabel("largest error of scattered light, of the brightest")
     figure.legend(*panels.flat[0].get_legend_handles_labels(), loc="outside upper center", ncols=4, fontsize="small")
     figure.savefig(path.with_suffix(".png"), dpi=120)
+
+
+def fog_fits(path: Path) -> None:
+    """Intervals of 95 % of every fit of a fog, over what is true: a panel for each number and way of fitting."""
+    fits = json.loads(path.read_text(encoding="utf-8"))["fits"]
+    names = list(dict.fromkeys(one["name"] for one in fits))
+    ways = list(dict.fromkeys((one["picture"], one["with_clear"]) for one in fits))
+    figure = Figure(figsize=(3.6 * len(ways), 3.2 * len(names)), layout="constrained")
+    panels = figure.subplots(len(names), len(ways), squeeze=False)
+    for panel, (name, way) in zip(panels.flat, [(name, way) for name in names for way in ways], strict=True):
+        drawn = [one for one in fits if (one["name"], one["picture"], one["with_clear"]) == (name, *way)]
+        scenes = list(dict.fromkeys(one["scene"] for one in drawn))
+        for index, scene in enumerate(scenes):
+            same = [one for one in drawn if one["scene"] == scene]
+            places = index + (np.arange(len(same)) + 1.0) / (len(same) + 1.0) - 0.5
+            spread = [100.0 * 1.96 * (one["standard_error"] or math.nan) for one in same]
+            panel.errorbar(places, [100.0 * one["error"] for one in same], yerr=spread, fmt=".", linewidth=0.8)
+        panel.axhline(0.0, color="black", linewidth=0.8)
+        panel.set_xticks(range(len(scenes)), scenes)
+        panel.set(title=f"{way[0]}, {'with' if way[1] else 'without'} clear", ylabel=f"error of {name} [%]")
+    figure.savefig(path.with_suffix(".png"), dpi=120)

@@ -5,6 +5,7 @@ import os
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -97,7 +98,6 @@ def sky(
     place = sun_place.given(sun) if sun is not None else shot.sun()
     asked = sky_fit.Options(
         mask=mask,
-        sun=place,
         start=options.start(start) if start else None,
         fixed=options.assignments(fix or []),
         free=tuple(free or ()),
@@ -107,7 +107,7 @@ def sky(
     )
     with _progress("reading and fitting", quiet):
         seen = photos.read(photo, projection, fov, pitch)
-        solution = sky_fit.fit(seen, asked)
+        solution = sky_fit.fit(seen, replace(asked, sun=place or shot.sun_by(seen.header)))
     with _progress("writing", quiet):
         draw = partial(picture.draw, camera=seen.camera)
         results.write(folder, seen, solution, shot.completed(seen.header), draw)
@@ -158,8 +158,10 @@ def fog(
     begun = options.first_scene(start) if start else None
     with _progress("reading and fitting", quiet):
         seen = photos.read(photo, projection, fov, pitch)
+        place = place or shot.sun_by(seen.header)
         if with_sky:
-            begun = sky_fit.fit(seen, sky_fit.Options(sun=place, start=begun, solver=solver, seed=seed)).scene
+            above = sky_fit.fit(seen, sky_fit.Options(sun=place, start=begun, solver=solver, seed=seed))
+            begun, place = above.scene, above.sun
         asked = fog_fit.Options(
             distance=distance,
             distance_kind=distance_kind,

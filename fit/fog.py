@@ -31,6 +31,7 @@ from fit.input_error import InputError
 from fit.minimum import INTERRUPTED, Budget, Point
 from fit.photo import Photo
 from fit.search_space import SearchSpace
+from fit.shot import Shot
 from fit.solution import Solution, SunPlace
 from fit.solvers import solver
 from fit.uncertainty import Evidence, Uncertainty, uncertainty
@@ -88,19 +89,19 @@ def solve(photo: Photo, options: Options) -> Fogged:
     """
     began = time.monotonic()
     minimise = solver(options.solver)
-    place = sun.checked(photo, options.sun) if options.sun else sun.find(photo)
+    place, guessed = _sun(photo, options)
     home = _home(options, place)
     seen = foggy_photo.seen(photo, options, home)
     read = time.monotonic()
-    space = _space(options, home, seen, place)
+    space = _space(options, home, (*(SEARCHED if seen.distance is not None else SEARCHED_IN_THE_SKY), *guessed))
     objective = seen.objective(space, PIXELS, options.seed)
     start = _start(seen.objective(space, COARSE_PIXELS, options.seed), options)
     minimum = minimise(objective, start, Budget(seconds=options.seconds, seed=options.seed))
     known = _known(objective, minimum.point)
     left_out = {name: why for name, why in zip((*space.free, SURFACES), known.why, strict=False) if why}
     pinned = [name for name in space.free if name in left_out and name not in options.free]
-    if pinned and minimum.reason != INTERRUPTED:
-        # What the photo leaves open goes to where it was at home, and the rest is searched again.
+    if pinned and len(pinned) < len(minimum.point) and minimum.reason != INTERRUPTED:
+        # What the photo leaves open goes to where it was at home, and the rest, if there is one, is searched again.
         kept = [index for index, name in enumerate(space.free) if name not in pinned]
         kept += list(range(len(space.free), len(minimum.point)))
         space = SearchSpace(home, tuple(name for name in space.free if name not in pinned))
@@ -111,7 +112,7 @@ def solve(photo: Photo, options: Options) -> Fogged:
     lights = objective.lights(point)
     scene = _lit(home, space.scene(point[: len(space.free)]), lights)
     solved = time.monotonic()
-    held = partial(_unsearched, options=options, left_out=left_out)
+    held = partial(_unsearched, options=options, left_out=left_out, place=place)
     parameters = account.parameters(scene, space, known, held)
     kept = [index for index, name in enumerate(space.free) if parameters[name].determined]
     difference = torch.log(lights.picture() / objective.pixels.radiance)
@@ -142,6 +143,23 @@ def solve(photo: Photo, options: Options) -> Fogged:
 # What is searched
 
 
+def _sun(photo: Photo, options: Options) -> tuple[SunPlace, tuple[str, ...]]:
+    """Where the sun stands, and which names of that are a guess and searched.
+
+    A photo's header may tell its height by place and time, but not where the picture looks.
+    """
+    if options.sun is not None:
+        return sun.checked(photo, options.sun), ()
+    found = sun.find(photo)
+    if found.visible:
+        return found, ()
+    computed = Shot(heading=0.0).sun_by(photo.header)
+    if computed is None:
+        return found, hidden_sun.NAMES
+    how = "no disc seen; as high as at the header's place and time, towards the brightest part of the sky"
+    return replace(found, elevation=computed.elevation, how=how), ("SUN_AZIMUTH",)
+
+
 def _home(options: Options, place: SunPlace) -> Scene:
     """Scene of what is not searched: given values, those of the weather file to start at, defaults."""
     known = weather_names()
@@ -150,16 +168,15 @@ def _home(options: Options, place: SunPlace) -> Scene:
             check(name, 0.0)
         if name.startswith(IN_CLOSED_FORM) or not name.startswith(("HEIGHT_FOG_", "SUN_ELEVATION", "SUN_AZIMUTH")):
             raise InputError(f"{name} is not for a fog fit's --fix and --free; give one of HEIGHT_FOG_, but no tint")
+        if name.startswith("SUN_") and name in options.fixed:
+            raise InputError(f"--fix {name}; give the sun's place by --sun ELEVATION,AZIMUTH")
     plain = Scene(defaults(Exposure), defaults(Sun), sky=None, height_fog=defaults(HeightFog))
     given = {} if options.start is None else keyframes.values(options.start)
     sun_now = {"SUN_ELEVATION": place.elevation, "SUN_AZIMUTH": place.azimuth}
     return keyframes.scene({**keyframes.values(plain), **given, **sun_now, **options.fixed}, torch.float64)
 
 
-def _space(options: Options, home: Scene, seen: FoggyPhoto, place: SunPlace) -> SearchSpace:
-    searched = SEARCHED_IN_THE_SKY if seen.distance is None else SEARCHED
-    if options.sun is None and not place.visible:
-        searched = (*searched, "SUN_ELEVATION", "SUN_AZIMUTH")
+def _space(options: Options, home: Scene, searched: tuple[str, ...]) -> SearchSpace:
     names = dict.fromkeys((*searched, *options.free))
     return SearchSpace(home, tuple(name for name in names if name not in options.fixed))
 
@@ -221,7 +238,7 @@ def _lit(home: Scene, scene: Scene, lights: Lights) -> Scene:
     return replace(scene, height_fog=replace(fog, ambient_tint=of_sky / skylight(scene)))
 
 
-def _unsearched(name: str, options: Options, left_out: Mapping[str, str]) -> str:
+def _unsearched(name: str, options: Options, left_out: Mapping[str, str], place: SunPlace) -> str:
     if name in left_out:
         return left_out[name]
     if name in options.fixed:
@@ -231,7 +248,7 @@ def _unsearched(name: str, options: Options, left_out: Mapping[str, str]) -> str
     if name.startswith(("EXPOSURE", "SUN_IRRADIANCE")):
         return "closed form" if options.start is None else "kept"
     if name.startswith("SUN_"):
-        return "given" if options.sun else "taken from the photo"
+        return place.how
     return "kept" if options.start is not None else "default"
 
 

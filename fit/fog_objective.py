@@ -65,8 +65,8 @@ class Lights:
         return (self.seen[:, :IN_FOG] * self.strength[:IN_FOG]).sum(-2)
 
     def ambient(self) -> Float[Tensor, "3"]:
-        """Strength of one even light in place of those of sky and ground: their mean, as a level ray sees it."""
-        return self.strength[1:IN_FOG].mean(0)
+        """Radiance of one even light in place of those of sky and ground, as a level ray sees them."""
+        return self.strength[1:IN_FOG].sum(0)
 
 
 @dataclass(frozen=True)
@@ -120,10 +120,21 @@ class FogObjective:
             is_surface = (~pixels.rays.length.isinf())[:, None]
             seen += [transmittance * is_surface, transmittance * pixels.behind]
         else:
-            lost = opacity(depth_to_sun(fog, pixels.rays, mass))
-            known = pixels.clear * transmittance * (1.0 + (2.0 * point[-1] - 1.0) * lost)
+            known = transmittance * _surfaces(pixels.clear, point[-1], depth_to_sun(fog, pixels.rays, mass))
         columns = torch.stack(seen, -2)
         return Lights(columns, known, _strengths(columns / self.scale[:, None], (pixels.radiance - known) / self.scale))
+
+
+def surfaces(scene: Scene, pixels: FogPixels, change: Tensor) -> Float[Tensor, "n 3"]:
+    """Radiance of what stands behind the fog, where the picture without fog is known, in the light that is left."""
+    assert scene.height_fog is not None
+    assert pixels.clear is not None
+    mass = _mass(scene.height_fog, scene, pixels.rays)
+    return _surfaces(pixels.clear, change, depth_to_sun(scene.height_fog, pixels.rays, mass))
+
+
+def _surfaces(clear: Float[Tensor, "n 3"], change: Tensor, depth: Float[Tensor, "n 3"]) -> Float[Tensor, "n 3"]:
+    return clear * (1.0 + (2.0 * change - 1.0) * opacity(depth))
 
 
 def _mass(fog: HeightFog, scene: Scene, rays: Rays) -> Float[Tensor, "1"]:

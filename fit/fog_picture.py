@@ -11,7 +11,7 @@ from diffrender.atmosphere.height_fog import FogView
 from diffrender.scene import Scene, skylight
 from fit.exr import bands
 from fit.fog import Fogged
-from fit.fog_objective import IN_FOG, FogPixels, Lights
+from fit.fog_objective import IN_FOG, FogPixels, Lights, surfaces
 
 LEAST_SEEN = 0.1  # share of the light behind fog that has to come through, for it to be told from noise
 
@@ -26,14 +26,15 @@ def draw(fogged: Fogged, scene: Scene) -> dict[str, Radiance]:
     """
     shape = fogged.seen.photo.radiance.shape
     fitted, bare = np.full(shape, np.nan, np.float32), np.full(shape, np.nan, np.float32)
-    lights = fogged.objective.lights(torch.from_numpy(fogged.solution.minimum.point))
+    point = torch.from_numpy(fogged.solution.minimum.point)
+    lights = fogged.objective.lights(point)
     for rows in bands(shape[0]):
         line, column = np.nonzero(fogged.seen.known[rows])
         if line.size:
             line = line + rows.start
             pixels = fogged.seen.at(line, column)
             seen_fog, through = _fog(scene, pixels)
-            fitted[line, column] = (seen_fog + through * _background(pixels, lights)).numpy()
+            fitted[line, column] = (seen_fog + through * _background(scene, pixels, lights, point)).numpy()
             without = (pixels.radiance - seen_fog).clamp(min=0.0) / through
             bare[line, column] = torch.where(through > LEAST_SEEN, without, torch.nan).numpy()
     return {"fog": fitted, "without fog": bare}
@@ -49,8 +50,8 @@ def _fog(scene: Scene, pixels: FogPixels) -> tuple[Float[Tensor, "n 3"], Float[T
     return height_fog.render(scene.height_fog, view), through
 
 
-def _background(pixels: FogPixels, lights: Lights) -> Float[Tensor, "n 3"]:
+def _background(scene: Scene, pixels: FogPixels, lights: Lights, point: Float[Tensor, " n"]) -> Float[Tensor, "n 3"]:
     if pixels.clear is not None:
-        return pixels.clear
-    surfaces, behind = lights.strength[IN_FOG:]
-    return torch.where(pixels.rays.length.isinf()[:, None], pixels.behind * behind, surfaces)
+        return surfaces(scene, pixels, point[-1])
+    bright, behind = lights.strength[IN_FOG:]
+    return torch.where(pixels.rays.length.isinf()[:, None], pixels.behind * behind, bright)

@@ -37,6 +37,16 @@ class Shot:
             raise InputError("the sun's place needs --latitude, --longitude and --time together; or give --sun")
         return sun.from_place(self.latitude, self.longitude, self.time, self.heading or 0.0)
 
+    def sun_by(self, header: Mapping[str, object]) -> SunPlace | None:
+        """Sun by a photo's header too, which tells neither where the picture looks nor always place and time.
+
+        None where any of them stays unknown.
+        """
+        whole = self.completed(header)
+        if self.heading is None or whole.latitude is None or whole.longitude is None or whole.time is None:
+            return None
+        return whole.sun()
+
     def completed(self, header: Mapping[str, object]) -> "Shot":
         """Shot with what a photo's header says where nothing else is known."""
         time, latitude, longitude = (header.get(name) for name in ("time", "latitude", "longitude"))
