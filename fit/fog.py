@@ -22,7 +22,7 @@ from diffrender.atmosphere.celestial import Sun
 from diffrender.atmosphere.height_fog import HeightFog
 from diffrender.parameters import defaults
 from diffrender.scene import Exposure, Scene, places, skylight, weather_names
-from fit import account, foggy_photo, hidden_sun, keyframes, sun
+from fit import account, foggy_photo, hidden_sun, keyframes, residual_covariance, sun
 from fit import photo as photos
 from fit.fog_objective import FogObjective, Lights
 from fit.foggy_photo import FoggyPhoto, Options
@@ -45,7 +45,8 @@ STARTS = tuple(product((1e-4, 1e-3, 1e-2), (15.0, 60.0, 240.0)))  # extinction [
 # Variance of what is wider than a pixel, over what the residuals show of it. It is light scattered twice and shadows in
 # the fog, which the model does not have and its parameters hide: five path-traced scenes ask for it.
 MISFIT = 50.0
-DIMMEST_SUN = 0.1  # irradiance of a sun that is not seen, over the sky's radiance
+BY_CHANCE = 4.0  # standard deviations of noise that residuals may be alike by, beyond which the model is off
+DIMMEST_SUN = 0.2  # irradiance of a sun that is not seen, over the sky's radiance or the picture's
 
 # The tints' common factor is the extinction's, and with the base height exactly so; both stay where they are.
 SEARCHED = (
@@ -58,7 +59,8 @@ SEARCHED = (
     "HEIGHT_FOG_RAYLEIGH_SHARE_G",
     "HEIGHT_FOG_RAYLEIGH_SHARE_B",
 )
-SEARCHED_IN_THE_SKY = ("HEIGHT_FOG_EXTINCTION",)
+DENSITY = "HEIGHT_FOG_EXTINCTION"  # searched even where it is not determined: without it there is no fog
+SEARCHED_IN_THE_SKY = (DENSITY,)
 IN_CLOSED_FORM = ("HEIGHT_FOG_SUN_TINT", "HEIGHT_FOG_AMBIENT_TINT")
 SURFACES = "light on surfaces"  # the one coordinate of a search that is no parameter
 
@@ -99,7 +101,7 @@ def solve(photo: Photo, options: Options) -> Fogged:
     minimum = minimise(objective, start, Budget(seconds=options.seconds, seed=options.seed))
     known = _known(objective, minimum.point)
     left_out = {name: why for name, why in zip((*space.free, SURFACES), known.why, strict=False) if why}
-    pinned = [name for name in space.free if name in left_out and name not in options.free]
+    pinned = [name for name in space.free if name in left_out and name not in (*options.free, DENSITY)]
     if pinned and len(pinned) < len(minimum.point) and minimum.reason != INTERRUPTED:
         # What the photo leaves open goes to where it was at home, and the rest, if there is one, is searched again.
         kept = [index for index, name in enumerate(space.free) if name not in pinned]
@@ -177,8 +179,10 @@ def _home(options: Options, place: SunPlace) -> Scene:
 
 
 def _space(options: Options, home: Scene, searched: tuple[str, ...]) -> SearchSpace:
-    names = dict.fromkeys((*searched, *options.free))
-    return SearchSpace(home, tuple(name for name in names if name not in options.fixed))
+    names = tuple(name for name in dict.fromkeys((*searched, *options.free)) if name not in options.fixed)
+    if not names:
+        raise InputError("nothing is left to search; give --distance, --free NAME or less of --fix")
+    return SearchSpace(home, names)
 
 
 def _start(objective: FogObjective, options: Options) -> Point:
@@ -207,14 +211,17 @@ def _known(objective: FogObjective, point: Point) -> Uncertainty:
     residuals, slopes = objective.jacobian(torch.from_numpy(point))
     shape = tuple(objective.pixels.radiance.shape)
     count = objective.pixels.radiance.numel()
+    direction, left = objective.pixels.rays.direction.numpy(), residuals[:count].reshape(shape).numpy()
+    # Surfaces of one brightness are never the truth.
+    is_off = objective.pixels.clear is None or residual_covariance.excess(direction, left) > BY_CHANCE
     return uncertainty(
         Evidence(
-            direction=objective.pixels.rays.direction.numpy(),
-            residuals=residuals[:count].reshape(shape).numpy(),
+            direction=direction,
+            residuals=left,
             slopes=slopes[:count].reshape(*shape, point.size).numpy(),
             changes=np.zeros((0, *shape)),
             spread=np.ones(point.size),
-            wide_weight=MISFIT,
+            wide_weight=MISFIT if is_off else 1.0,
         ),
         point,
     )
@@ -230,7 +237,8 @@ def _lit(home: Scene, scene: Scene, lights: Lights) -> Scene:
     of_sun, of_sky = lights.strength[0] / fog.albedo, lights.ambient() / fog.albedo
     if home.sky is None:
         # Behind thick fog no sun is seen; then a dim one stands for it.
-        irradiance = torch.maximum(of_sun, DIMMEST_SUN * of_sky.max() * torch.ones_like(of_sun))
+        brightest = torch.maximum(of_sky.max(), lights.picture().mean())
+        irradiance = torch.maximum(of_sun, DIMMEST_SUN * brightest * torch.ones_like(of_sun))
         scene = account.exposed(scene, irradiance)
         fog = replace(fog, sun_tint=of_sun / irradiance)
     else:

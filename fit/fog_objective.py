@@ -19,6 +19,8 @@ from fit.search_space import SearchSpace
 ROBUST_WIDTH = 0.5  # relative difference beyond which less than its square counts
 PRIOR_WEIGHT = 1e-3  # of one whole range of a parameter away from its start
 RIDGE = 1e-9  # of each light's own weight: two lights that look alike share what they explain
+# Of the heaviest light's weight: one that shows a millionth as much, as the sun long after it has set, explains nothing.
+FAINTEST = 1e-12
 IN_FOG = 3  # lights that shine on the fog itself
 # How soon a ray that rises or falls sees fog lit from above or from below alone, by the sine of its elevation. Fog that
 # scatters forward shows what lies ahead; with one even light for both, densities of five path-traced scenes with light
@@ -173,7 +175,8 @@ def _strengths(seen: Float[Tensor, "n lights 3"], photo: Float[Tensor, "n 3"]) -
     count = normal.shape[-1]
     towards = torch.einsum("nlc,nc->cl", seen, photo)
     own = normal.diagonal(dim1=-2, dim2=-1)
-    normal = normal + torch.diag_embed(RIDGE * own + torch.finfo(own.dtype).tiny)
+    ridge = RIDGE * own + FAINTEST * own.amax(-1, keepdim=True) + torch.finfo(own.dtype).tiny
+    normal = normal + torch.diag_embed(ridge)
     on = torch.tensor(list(product((0.0, 1.0), repeat=count)), dtype=normal.dtype)
     both = on[:, None, :, None] * on[:, None, None, :]
     eye = torch.eye(count, dtype=normal.dtype)

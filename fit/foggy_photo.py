@@ -122,6 +122,8 @@ def seen(photo: Photo, options: Options, home: Scene) -> FoggyPhoto:
         mask, notes = painted.used, [painted.how]
     if far is None:
         mask = mask & _horizon_band(photo)
+        if options.mask is None:
+            mask = mask & sky_mask.find(photo, sun.find(photo)).used
         notes.append("no distances: only the lowest 20 degrees of the sky are used; give --distance for more")
     else:
         mask = mask & ~np.isnan(far)
@@ -144,13 +146,12 @@ def _clear(photo: Photo, path: Path) -> Float[np.ndarray, "height width 3"]:
 
 
 def _horizon_band(photo: Photo) -> Bool[np.ndarray, "height width"]:
-    """Pixels below 20 degrees and at or under the found sky, as far down as the horizon."""
+    """Pixels from the horizon up to 20 degrees."""
     band = np.zeros((photo.camera.height, photo.camera.width), bool)
     for rows in bands(photo.camera.height):
         up = photo.camera.direction(*pixel_centres(photo.camera, rows, torch.zeros(())))[..., 2].numpy()
         band[rows] = (up > 0.0) & (up < BAND_TOP)
-    found: Bool[np.ndarray, "height width"] = band & sky_mask.find(photo, sun.find(photo)).used
-    return found
+    return band
 
 
 def _behind(home: Scene, direction: Float[Tensor, "n 3"], is_sky: Bool[Tensor, " n"]) -> Float[Tensor, "n 3"]:

@@ -47,6 +47,20 @@ def score_covariance(
     return total
 
 
+def excess(direction: Float64[np.ndarray, "n 3"], residuals: Float64[np.ndarray, "n 3"]) -> float:
+    """How much more alike residuals near each other are than noise of single pixels, in its standard deviations.
+
+    The largest of the three contrasts', for the narrowest field; noise may be stronger in some pixels than in others.
+    """
+    near = np.exp(-0.5 * np.maximum(2.0 - 2.0 * direction @ direction.T, 0.0) / WIDTHS[0] ** 2)
+    np.fill_diagonal(near, 0.0)
+    seen = residuals @ CONTRASTS.T
+    seen = seen - seen.mean(0)
+    alike = np.einsum("nc,nc->c", seen, near @ seen)
+    chance = np.sqrt(2.0 * np.einsum("nc,nc->c", seen**2, np.square(near, out=near) @ seen**2))
+    return float((alike / np.where(chance > 0.0, chance, 1.0)).max())
+
+
 def _kernels(direction: Float64[np.ndarray, "n 3"]) -> Float64[np.ndarray, "f n n"]:
     """Correlation between pixels of each kind of field, single pixels first."""
     chord_square = np.maximum(2.0 - 2.0 * direction @ direction.T, 0.0)
