@@ -74,7 +74,8 @@ def _noise(folder: Path) -> np.ndarray[Any, np.dtype[np.float64]]:
     light = height_fog.phase(scene.fog, scene.view) * scene.fog.albedo * scene.view.irradiance
     relative = light / light[..., fog_scenes.GREEN, None]
     noise: np.ndarray[Any, np.dtype[np.float64]] = (fog_scenes.standard_error(scene)[..., None] * relative).numpy()
-    return np.nan_to_num(noise)  # rays without any fog: 0 / 0
+    noise[np.isnan(noise)] = 0.0  # of rays without any fog: 0 / 0
+    return noise
 
 
 def _found(

@@ -19,7 +19,7 @@ from fit.search_space import SearchSpace
 ROBUST_WIDTH = 0.5  # relative difference beyond which less than its square counts
 PRIOR_WEIGHT = 1e-3  # of one whole range of a parameter away from its start
 RIDGE = 1e-9  # of each light's own weight: two lights that look alike share what they explain
-# Of the heaviest light's weight: one that shows a millionth as much, as the sun long after it has set, explains nothing.
+# Of the heaviest light's weight: one that shows a millionth as much, as a sun long set, explains nothing.
 FAINTEST = 1e-12
 IN_FOG = 3  # lights that shine on the fog itself
 # How soon a ray that rises or falls sees fog lit from above or from below alone, by the sine of its elevation. Fog that
