@@ -28,7 +28,7 @@ THREADS = 1
 
 @app.callback()
 def about() -> None:
-    """Fit skies and fog of HDR photos and write tuned weather files."""
+    """Fit skies, fog and anti-aliasing to HDR photos and write tuned weather files."""
 
 
 Projection = Annotated[
@@ -179,6 +179,60 @@ def fog(
         found = fog_fit.solve(seen, asked)
     with _progress("writing", quiet):
         results.write(folder, seen, found.solution, shot.completed(seen.header), partial(fog_picture.draw, found))
+    return _ended(folder, found.solution, quiet)
+
+
+@app.command()
+def sharpening(
+    photo: Annotated[Path, typer.Argument(help="OpenEXR or Radiance .hdr file.")],
+    footprint: Annotated[float, typer.Option(help="Side of a sample, pixels: 0 points, 1 as mip maps.")] = 1.0,
+    textures: Annotated[
+        Path | None, typer.Option(help="PNG of the photo's size; white has the footprint, the rest is points.")
+    ] = None,
+    factor: Annotated[int, typer.Option(help="How many times as fine as the pictures the photo is; even.")] = 4,
+    screen: Annotated[str, typer.Option(help="What the picture is encoded for: srgb or pq.")] = "srgb",
+    out: Annotated[Path | None, typer.Option(help="Folder for the results; else tuned/<photo name>.")] = None,
+    projection: Projection = None,
+    fov: FieldOfView = None,
+    pitch: Pitch = 0.0,
+    start: Annotated[Path | None, typer.Option(help="Weather file to begin at; keeps what is not free.")] = None,
+    fix: Annotated[list[str] | None, typer.Option(metavar="NAME=VALUE", help="Hold a parameter; repeatable.")] = None,
+    free: Annotated[list[str] | None, typer.Option(metavar="NAME", help="Search one more; repeatable.")] = None,
+    solver: Annotated[str, typer.Option(help="least-squares, nlopt:NAME, adam or lbfgs.")] = "least-squares",
+    seconds: Annotated[
+        float | None, typer.Option(min=1e-3, help="Take the best after this long; not repeatable.")
+    ] = None,
+    seed: Annotated[int, typer.Option(min=0, max=2**31 - 1, help="Of solvers that draw.")] = 0,
+    quiet: Annotated[bool, typer.Option("--quiet", help="Print nothing but errors.")] = False,
+) -> int:
+    """Fit sharpening and FXAA of two-frame anti-aliasing to a photo.
+
+    Exit status: 0 fitted, 1 not converged, 2 bad input, 130 interrupted; all but 2 write what was found.
+    """
+    with _progress("starting", quiet):
+        from fit import options, results
+        from fit import photo as photos
+        from fit import sharpening as sharpening_fit
+        from fit.sampled_photo import Sampling
+
+        _use_threads()
+    asked = sharpening_fit.Options(
+        sampling=Sampling(factor, footprint, screen),
+        textures=textures,
+        start=options.first_scene(start) if start else None,
+        fixed=options.assignments(fix or []),
+        free=tuple(free or ()),
+        solver=solver,
+        seconds=seconds,
+        seed=seed,
+    )
+    folder = results.folder(out, photo)
+    with _progress("reading and fitting", quiet):
+        seen = photos.read(photo, projection, fov, pitch)
+        found = sharpening_fit.solve(seen, asked)
+    with _progress("writing", quiet):
+        shot = _shot(None, None, None, None).completed(seen.header)
+        results.write_with(folder, found.solution, shot, found.draw, found.page)
     return _ended(folder, found.solution, quiet)
 
 

@@ -2,9 +2,10 @@
 
 import base64
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from importlib import resources
+from typing import Any
 
 import jinja2
 import numpy as np
@@ -39,6 +40,25 @@ class Pictures:
 
 def page(solution: Solution, pictures: Pictures) -> str:
     """HTML of the report: needs no other file and no network, and shows whatever text the photo's file held as text."""
+    mask = _mask(pictures)
+    seen = {
+        "size": pictures.mask.shape,
+        "fit_has_gaps": bool(np.isnan(pictures.fitted).any()),
+        "shots": _shots(pictures),
+        "residual": _residual(pictures),
+        "mask": mask,
+    }
+    return _rendered(solution, {"gallery": None, "seen": seen, "used": mask["used"]})
+
+
+def gallery_page(solution: Solution, crops: Sequence[Mapping[str, UInt8[np.ndarray, "height width 3"]]]) -> str:
+    """HTML of the report of a fit that compares methods: crops of the picture by each of them, side by side."""
+    gallery = [{method: _data_uri(crop) for method, crop in row.items()} for row in crops]
+    share = f"{100.0 * solution.used.mean():.0f} %"
+    return _rendered(solution, {"gallery": gallery, "seen": {"shots": []}, "used": share})
+
+
+def _rendered(solution: Solution, pictures: Mapping[str, Any]) -> str:
     environment = jinja2.Environment(
         autoescape=True, undefined=jinja2.StrictUndefined, finalize=_visible, trim_blocks=True, lstrip_blocks=True
     )
@@ -49,11 +69,7 @@ def page(solution: Solution, pictures: Pictures) -> str:
         error=_error_in_words(solution.error),
         number=number,
         camera_kind=type(solution.camera).__name__.lower(),
-        size=pictures.mask.shape,
-        fit_has_gaps=bool(np.isnan(pictures.fitted).any()),
-        shots=_shots(pictures),
-        residual=_residual(pictures),
-        mask=_mask(pictures),
+        **pictures,
         determined=[row for row in rows if row.is_determined],
         held=[row for row in rows if not row.is_determined],
         matrix=_matrix(solution),

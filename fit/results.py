@@ -20,11 +20,12 @@ from fit.input_error import InputError
 from fit.path_text import path_text
 from fit.photo import Photo
 from fit.shot import Shot
-from fit.solution import Solution
+from fit.solution import Solution, SunPlace
 from fit.whole_file import write_bytes
 from fit.whole_folder import whole_folder
 
 Draw = Callable[[Scene], picture.Drawn]
+Page = Callable[[picture.Drawn], str]
 
 ACCOUNT = "fit.json"  # takes its place last: who finds it finds the files it speaks of
 LARGEST_SHOWN = 1024  # columns or rows of the report's pictures
@@ -51,10 +52,22 @@ def folder(out: Path | None, photo: Path) -> Path:
 
 
 def write(place: Path, photo: Photo, solution: Solution, shot: Shot, draw: Draw) -> None:
-    """Write a fit's five files into a folder, which is made if it is not there.
+    """Write a fit's five files into a folder, with a report that shows the first picture drawn beside the photo.
 
-    What is drawn is the scene as the weather file describes it, so that drawing the file again gives the same bits; of
-    the pictures drawn, the first is shown beside the photo.
+    Raises:
+        InputError: when they cannot be written; then none of them is.
+    """
+
+    def page(drawn: picture.Drawn) -> str:
+        return report.page(solution, _pictures(photo, next(iter(drawn.values())), solution.used))
+
+    write_with(place, solution, shot, draw, page)
+
+
+def write_with(place: Path, solution: Solution, shot: Shot, draw: Draw, page: Page) -> None:
+    """Write a fit's five files into a folder, which is made if it is not there, with a page made of what is drawn.
+
+    What is drawn is the scene as the weather file describes it, so that drawing the file again gives the same bits.
 
     Raises:
         InputError: when they cannot be written; then none of them is.
@@ -63,13 +76,13 @@ def write(place: Path, photo: Photo, solution: Solution, shot: Shot, draw: Draw)
     values = keyframes.values(solution.scene)
     weather = weather_file.of_photo(values, shot.hour, _origin(solution) | shot.lines())
     drawn = draw(keyframes.scene(values))
-    page = report.page(solution, _pictures(photo, next(iter(drawn.values())), solution.used))
+    html = page(drawn)
     mask = png.encoded(np.where(solution.used, np.uint8(255), np.uint8(0))[..., None])
     with whole_folder(place, last=ACCOUNT) as aside:
         weather_file.write(aside / "weather.csv", weather)
         picture.write(aside / "fitted.exr", drawn, {"photo": solution.photo})
         write_bytes(aside / "mask.png", mask)
-        write_bytes(aside / "report.html", page.encode())
+        write_bytes(aside / "report.html", html.encode())
         seconds = {**solution.seconds, "write": time.monotonic() - began}
         account = record(dataclasses.replace(solution, seconds=seconds))
         write_bytes(aside / ACCOUNT, json.dumps(account, indent=1, allow_nan=False).encode() + b"\n")
@@ -82,10 +95,12 @@ def record(solution: Solution) -> dict[str, object]:
         "photo": solution.photo,
         "effect": solution.effect,
         "camera": _camera(solution.camera),
-        "sun": dataclasses.asdict(solution.sun),
+        "sun": None if solution.sun is None else dataclasses.asdict(solution.sun),
         "gains": list(solution.gains),
         "pixels": dict(solution.pixels),
         "error": solution.error,
+        "measure": solution.measure,
+        "scores": {method: dict(scores) for method, scores in solution.scores.items()},
         "solver": solution.solver,
         "seed": solution.seed,
         "threads": torch.get_num_threads(),
@@ -104,14 +119,16 @@ def record(solution: Solution) -> dict[str, object]:
 
 def summary(place: Path, solution: Solution) -> str:
     """What a fit found, in a few lines."""
-    minimum, sun = solution.minimum, solution.sun
+    minimum = solution.minimum
     state = "converged" if minimum.converged else f"not converged: {minimum.reason}"
     lines = [
-        f"{solution.photo}: mean square error of log radiance {solution.error:.4f}, {state}",
+        f"{solution.photo}: mean square error of {solution.measure} {report.number(solution.error, 4)}, {state}",
         *(f"  {note}" for note in solution.notes),
-        f"  sun {_angle(sun.elevation, sun.elevation_standard_error)} degrees high, "
-        f"{_angle(sun.azimuth, sun.azimuth_standard_error)} to the right of the middle: {sun.how}",
     ]
+    if solution.sun is not None:
+        lines.append(_told(solution.sun))
+    for method, scores in solution.scores.items():
+        lines.append(f"  {method:<30} " + ", ".join(f"{name} {score:.4g}" for name, score in scores.items()))
     for name, fitted in solution.parameters.items():
         unit = "" if fitted.unit == "1" else f" {fitted.unit}"
         if fitted.standard_error is not None:
@@ -120,6 +137,12 @@ def summary(place: Path, solution: Solution) -> str:
             lines.append(f"  {name:<30} {report.number(fitted.value, 4)}{unit} ({fitted.why})")
     lines.append(f"written to {place}")
     return "\n".join(line.replace("\n", "?") for line in lines)  # names of files may hold line ends
+
+
+def _told(sun: SunPlace) -> str:
+    elevation = _angle(sun.elevation, sun.elevation_standard_error)
+    azimuth = _angle(sun.azimuth, sun.azimuth_standard_error)
+    return f"  sun {elevation} degrees high, {azimuth} to the right of the middle: {sun.how}"
 
 
 def _angle(degrees: float, error: float | None) -> str:

@@ -1,7 +1,7 @@
 """Solution: what a fit found, how well each parameter is determined, and how it got there."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from jaxtyping import Bool, Float64
@@ -41,7 +41,7 @@ class SunPlace:
 class Solution:
     """A fitted scene and the account of the fit."""
 
-    effect: str  # "sky"
+    effect: str  # "sky", "fog" or "sharpening"
     photo: str  # file name of the photo, as given
     camera: Camera
     notes: tuple[str, ...]  # what was recognised, assumed or left aside, one sentence each
@@ -49,14 +49,18 @@ class Solution:
     parameters: Mapping[str, Fitted]  # weather-file name -> value; also what was not searched
     correlated: tuple[str, ...]  # names of the determined searched parameters, in the order of `correlation`
     correlation: Float64[np.ndarray, "n n"]
-    sun: SunPlace
+    sun: SunPlace | None  # None where a fit does not ask for it
     gains: tuple[float, float, float]  # per channel, in closed form
     used: Bool[np.ndarray, "height width"]  # pixels of the photo that the fit may look at
     pixels: Mapping[str, int]  # used, masked, nonfinite, negative
     left_out: Mapping[str, str]  # effect or parameter -> why
-    error: float  # E3: mean square of the difference of log radiance, solid-angle weighted, over the mask
+    # Mean square of the difference in the measure; E3 of a sky: of log radiance, solid-angle weighted, over the mask.
+    error: float
     minimum: Minimum
     solver: str
     seed: int
     seconds: Mapping[str, float]  # read, solve, write
     versions: Mapping[str, str]
+    measure: str = "log radiance"  # what pictures are compared in
+    # Method -> name of a score -> its value, where a fit compares methods.
+    scores: Mapping[str, Mapping[str, float]] = field(default_factory=dict)

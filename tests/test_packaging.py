@@ -24,11 +24,11 @@ RUNTIME = [Requirement(line) for line in PROJECT["dependencies"]]
 EXTRAS = {name: [Requirement(line) for line in lines] for name, lines in PROJECT["optional-dependencies"].items()}
 
 # Dependencies that come with a later kind of effect or fit; whoever first imports one takes it off this list.
-AWAITED = {"joblib", "kornia", "scikit-image"}
+AWAITED = {"joblib", "kornia"}
 # What pvlib takes and gives are pandas' tables, so it brings pandas by contract.
 BROUGHT = {"pandas"}
 # Packages whose module has another name.
-OTHERWISE_NAMED = {"skimage": "scikit-image"}
+OTHERWISE_NAMED = {"flip_evaluator": "flip-evaluator", "skimage": "scikit-image"}
 
 MEGABYTE = 1_000_000
 MACHINE_PATH = re.compile(r"(?<![\w.~$}])/(?:work|root|tmp|home|Users|mnt)/\w|\b[A-Z]:\\\w")
