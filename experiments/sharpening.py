@@ -36,7 +36,7 @@ from fit.sharpening_objective import SharpeningObjective
 PHOTOS = Path(__file__).parent / "photos"
 FOOTPRINTS = (0.0, 0.5, 1.0)
 TILES = 8  # of each photo
-LEAST_DETAIL = 2e-4  # mean square of what a photo shows finer than pixels: less is sky or blur
+LEAST_DETAIL = 1e-3  # mean square of what a photo shows finer than pixels in its best tile: less is sky
 THRESHOLDS = (0.0625, 0.125, 0.25, 0.4, 0.55, 0.7)
 BLENDS = (0.0, 0.25, 0.5, 0.75, 1.0)
 RESPONSES = (0.0, 0.5, 1.0, 2.0, 4.0, 8.0, 32.0)
