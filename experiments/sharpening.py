@@ -2,8 +2,8 @@
 
 The search goes through a grid of thresholds, blends and responses, each with the best lobes on a fine grid, and draws
 every picture anew. For the second table the photos are dealt into two halves; each half is drawn with what was fitted
-to the other. FLIP [1] is that of standard range, because it is given what a screen of standard range is sent; haloes are
-how far a picture leaves the range of the truth's nearest 3 x 3 pixels, root mean square.
+to the other. FLIP [1] is that of standard range, because it is given what such a screen is sent; haloes are how far a
+picture leaves the range of the truth's nearest 3 x 3 pixels, root mean square.
 
 Samples of footprint 1 in the pixels' centres are the truth itself, so that "none" has no error there.
 
@@ -35,11 +35,11 @@ from fit.sharpening_objective import SharpeningObjective
 
 PHOTOS = Path(__file__).parent / "photos"
 FOOTPRINTS = (0.0, 0.5, 1.0)
-TILES = 8  # of each photo
+TILES = 4  # of each photo, at most
 LEAST_DETAIL = 1e-3  # mean square of what a photo shows finer than pixels in its best tile: less is sky
 THRESHOLDS = (0.0625, 0.125, 0.25, 0.4, 0.55, 0.7)
-BLENDS = (0.0, 0.25, 0.5, 0.75, 1.0)
-RESPONSES = (0.0, 0.5, 1.0, 2.0, 4.0, 8.0, 32.0)
+BLENDS = (0.0, 0.4, 0.8)
+RESPONSES = (0.0, 1.0, 4.0, 16.0)
 LOBES = 101  # from one bound to the other
 LOBE_BOUNDS = specifications(AntiAliasing)["sharpening"].bounds
 Grid = tuple[Sequence[float], Sequence[float], Sequence[float]]

@@ -17,7 +17,7 @@ from pathlib import Path
 
 import numpy as np
 import torch
-from jaxtyping import Bool, Float64
+from jaxtyping import Bool
 
 from diffrender.antialiasing.settings import PREFIX, AntiAliasing
 from diffrender.atmosphere.celestial import Sun
@@ -33,9 +33,9 @@ from fit.picture import Drawn
 from fit.sampled_photo import MARGIN, TILE, Sampling, Scenery, Views
 from fit.search_space import SearchSpace
 from fit.sharpening_objective import JUMPING, SharpeningObjective
+from fit.sharpening_uncertainty import uncertainty
 from fit.solution import Solution
 from fit.solvers import solver
-from fit.uncertainty import AT_BOUND, WIDEST, Uncertainty, reasons
 from fit.weather_file import check
 
 TILES = 24  # that a fit looks at
@@ -123,7 +123,7 @@ def solve(photo: Photo, options: Options) -> Sharpened:
     objective = SharpeningObjective(space, views)
     minimum = search(objective, options)
     scene = space.scene(torch.from_numpy(minimum.point))
-    known = _known(objective, minimum.point)
+    known = uncertainty(objective, minimum.point)
     parameters = account.parameters(scene, space, known, partial(_unsearched, options=options))
     kept = [index for index, name in enumerate(space.free) if parameters[name].determined]
     used = sampled_photo.pixels(scenery, corners)
@@ -280,40 +280,6 @@ def _with_best_lobes(objective: SharpeningObjective, point: Point) -> tuple[floa
 def _settings(scene: Scene) -> AntiAliasing:
     assert scene.antialiasing is not None  # a sharpening fit's scene has them
     return scene.antialiasing
-
-
-def _known(objective: SharpeningObjective, point: Point) -> Uncertainty:
-    """Standard errors in the unit cube, from how much the tiles differ: a sandwich with the tiles as clusters [1].
-
-    Neighbouring pixels err alike; tiles are taken for independent of each other. Coordinates on a face of the cube,
-    without slope or with an error beyond WIDEST are not determined; the errors of the others hold for them as they are.
-
-    [1] K.-Y. Liang, S. L. Zeger, "Longitudinal data analysis using generalized linear models", Biometrika 73, 1986.
-    """
-    residuals, slopes = (one.numpy() for one in objective.jacobian(torch.from_numpy(point)))
-    why = reasons(slopes, point, AT_BOUND)
-    error, correlation = np.full(point.size, np.nan), np.eye(point.size)
-    free = [index for index, reason in enumerate(why) if not reason]
-    if free:
-        covariance = _between_tiles(residuals, slopes[:, free], len(objective.views.truth))
-        deviation = np.sqrt(covariance.diagonal())
-        for index, spread in zip(free, deviation, strict=True):
-            if spread > WIDEST:
-                why[index] = "not determined by the photo"
-        error[free] = np.where(deviation > WIDEST, np.nan, deviation)
-        scale = np.where(deviation > 0.0, deviation, 1.0)
-        correlation[np.ix_(free, free)] = covariance / np.outer(scale, scale)
-    return Uncertainty(error, correlation, tuple(why))
-
-
-def _between_tiles(
-    residuals: Float64[np.ndarray, " m"], slopes: Float64[np.ndarray, "m k"], count: int
-) -> Float64[np.ndarray, "k k"]:
-    bread = np.linalg.inv(slopes.T @ slopes)
-    score = (residuals[:, None] * slopes).reshape(count, -1, slopes.shape[1]).sum(1)
-    few = count / max(count - 1, 1)  # one tile alone says nothing of how much they differ, but is all there is
-    covariance: Float64[np.ndarray, "k k"] = few * bread @ score.T @ score @ bread
-    return covariance
 
 
 def _textures(photo: Photo, options: Options) -> Bool[np.ndarray, "height width"] | None:
