@@ -99,15 +99,15 @@ def _with_best_lobes(smoothed: Tensor, truth: Tensor, responses: Sequence[float]
     share = np.linspace(0.0, 1.0, LOBES)
     found = []
     for response in responses:
-        plain, sharpest = (inner(_resolved(smoothed, lobe, response)) for lobe in LOBE_BOUNDS)
+        plain, sharpest = (inner(resolved(smoothed, lobe, response)) for lobe in LOBE_BOUNDS)
         error, slope = (plain - inner(truth)).flatten(), (sharpest - plain).flatten()
         # The mean square of error + share slope, at every share of the grid.
         squares = float(error @ error) + 2.0 * share * float(error @ slope) + share**2 * float(slope @ slope)
         found.append(float(squares.min()) / error.numel())
-    return float(-10.0 * np.log10(min(found)))
+    return float(-10.0 * np.log10(max(min(found), 1e-20)))  # 200 at most, as `psnr`
 
 
-def _resolved(smoothed: Tensor, lobe: float, response: float) -> Tensor:
+def resolved(smoothed: Tensor, lobe: float, response: float) -> Tensor:
     """Mean of both frames, resampled to centres."""
     usual = defaults(AntiAliasing, torch.float64)
     one = usual.sharpening.new_tensor
