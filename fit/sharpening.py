@@ -48,7 +48,16 @@ SEARCHED = (
     "AA_SUBPIXEL",
 )
 # Of starts: FXAA's thresholds from its author's finest to one that no edge reaches; responses; subpixel blends.
-THRESHOLDS = ((0.063, 0.0312), (0.166, 0.0833), (0.333, 0.0833), (0.5, 0.25), (1.0, 1.0))
+THRESHOLDS = (
+    (0.063, 0.0312),
+    (0.166, 0.0833),
+    (0.4, 0.05),
+    (0.55, 0.05),
+    (0.7, 0.05),
+    (0.55, 0.55),
+    (0.7, 0.7),
+    (1.0, 1.0),
+)
 RESPONSES, BLENDS = (0.0, 4.0), (0.0, 0.75)
 SAME = 1e-4  # change of the loss, relative, that is as good as none
 TURNS = 4  # of the solver and of comparing thresholds, at most
@@ -211,12 +220,15 @@ def search(objective: SharpeningObjective, options: Options) -> Minimum:
 def _compared(
     objective: SharpeningObjective, point: Point, loss: float, jumping: Sequence[int]
 ) -> tuple[Point, list[float]]:
-    """Best point among those reached by ever shorter steps along some axes, and the losses of all that were tried."""
+    """Best point among those reached by ever shorter steps along some axes, and the losses of all that were tried.
+
+    Also along all of them together: where one threshold lets no edge through, the other alone does nothing.
+    """
     best, losses = point, []
     for step in STEPS:
-        for index, way in product(jumping, (-1.0, 1.0)):
+        for axes, way in product([*([index] for index in jumping), list(jumping)], (-1.0, 1.0)):
             tried = best.copy()
-            tried[index] = min(max(best[index] + way * step, 0.0), 1.0)
+            tried[axes] = (best[axes] + way * step).clip(0.0, 1.0)
             losses.append(half_square(objective.residuals(torch.from_numpy(tried))))
             if losses[-1] < loss * (1.0 - SAME):
                 best, loss = tried, losses[-1]
