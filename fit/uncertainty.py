@@ -33,7 +33,7 @@ AT_BOUND = (
 # millionth cannot tell the parameters apart.
 COLLINEAR = 1e-5
 # The noise is known from one photo, a few clouds: Student's t of ten degrees of freedom varies by this much more than a
-# normal distribution. Chosen by `experiments.coverage`: without it intervals of 95 % held 92 % of the truths, with it 94.
+# normal distribution. Chosen by `experiments.coverage`: without it intervals of 95 % held 92 % of truths, with it 94.
 FEW_CLOUDS = 10.0 / 8.0
 
 
