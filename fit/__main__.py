@@ -184,26 +184,24 @@ def fog(
 
 @app.command()
 def sharpening(
-    photo: Annotated[Path, typer.Argument(help="OpenEXR or Radiance .hdr file.")],
+    photo: Photo,
     footprint: Annotated[float, typer.Option(help="Side of a sample, pixels: 0 points, 1 as mip maps.")] = 1.0,
     textures: Annotated[
         Path | None, typer.Option(help="PNG of the photo's size; white has the footprint, the rest is points.")
     ] = None,
     factor: Annotated[int, typer.Option(help="How many times as fine as the pictures the photo is; even.")] = 4,
     screen: Annotated[str, typer.Option(help="What the picture is encoded for: srgb or pq.")] = "srgb",
-    out: Annotated[Path | None, typer.Option(help="Folder for the results; else tuned/<photo name>.")] = None,
+    out: Out = None,
     projection: Projection = None,
     fov: FieldOfView = None,
     pitch: Pitch = 0.0,
-    start: Annotated[Path | None, typer.Option(help="Weather file to begin at; keeps what is not free.")] = None,
-    fix: Annotated[list[str] | None, typer.Option(metavar="NAME=VALUE", help="Hold a parameter; repeatable.")] = None,
-    free: Annotated[list[str] | None, typer.Option(metavar="NAME", help="Search one more; repeatable.")] = None,
-    solver: Annotated[str, typer.Option(help="least-squares, nlopt:NAME, adam or lbfgs.")] = "least-squares",
-    seconds: Annotated[
-        float | None, typer.Option(min=1e-3, help="Take the best after this long; not repeatable.")
-    ] = None,
-    seed: Annotated[int, typer.Option(min=0, max=2**31 - 1, help="Of solvers that draw.")] = 0,
-    quiet: Annotated[bool, typer.Option("--quiet", help="Print nothing but errors.")] = False,
+    start: Start = None,
+    fix: Fix = None,
+    free: Free = None,
+    solver: Solver = "least-squares",
+    seconds: Seconds = None,
+    seed: Seed = 0,
+    quiet: Quiet = False,
 ) -> int:
     """Fit sharpening and FXAA of two-frame anti-aliasing to a photo.
 

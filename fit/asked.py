@@ -1,4 +1,4 @@
-"""What may be asked of every fit to a photo."""
+"""What may be asked of fits, whatever they fit."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -9,12 +9,10 @@ from fit.solution import SunPlace
 
 
 @dataclass(frozen=True)
-class Options:
-    """What may be asked of a fit.
+class Search:
+    """What may be asked of every fit.
 
     Attributes:
-        mask: picture whose white pixels are used; None finds them.
-        sun: where the sun stands; None finds it.
         start: scene to begin at, whose values stay where they are not searched.
         fixed: names of weather files held at values in files' units.
         free: further names to search.
@@ -23,11 +21,22 @@ class Options:
         seed: of the sample of pixels and of solvers that draw.
     """
 
-    mask: Path | None = None
-    sun: SunPlace | None = None
     start: Scene | None = None
     fixed: Mapping[str, float] = field(default_factory=dict)
     free: tuple[str, ...] = ()
     solver: str = "least-squares"
     seconds: float | None = None
     seed: int = 0
+
+
+@dataclass(frozen=True)
+class Options(Search):
+    """What may be asked of a fit to what the sun lights.
+
+    Attributes:
+        mask: picture whose white pixels are used; None finds them.
+        sun: where the sun stands; None finds it.
+    """
+
+    mask: Path | None = None
+    sun: SunPlace | None = None

@@ -8,7 +8,7 @@ The scene is at rest: how far history is trusted, AA_HISTORY_TOLERANCE, does not
 """
 
 import time
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 from importlib.metadata import version
@@ -25,6 +25,7 @@ from diffrender.parameters import defaults
 from diffrender.scene import Exposure, Scene, places, weather_names
 from fit import account, keyframes, report, sampled_photo, sharpening_pictures, sky_mask
 from fit import photo as photos
+from fit.asked import Search
 from fit.gauss_newton import half_square
 from fit.input_error import InputError
 from fit.minimum import INTERRUPTED, Budget, Minimum, Point
@@ -65,28 +66,16 @@ STEPS = (0.2, 0.1, 0.05, 0.025, 0.0125)  # by which thresholds are moved and com
 
 
 @dataclass(frozen=True)
-class Options:
-    """What may be asked of a fit.
+class Options(Search):
+    """What may be asked of a fit of sharpening beside what may be asked of every fit.
 
     Attributes:
         sampling: how the photo is sampled.
         textures: picture whose white pixels are textures, with the footprint; others are points. None: all of it is.
-        start: scene to begin at, whose values stay where they are not searched.
-        fixed: names of weather files held at values in files' units.
-        free: further names to search.
-        solver: as on the command line.
-        seconds: after which the best so far is taken; None gives the same result on every machine.
-        seed: of solvers that draw.
     """
 
     sampling: Sampling = field(default_factory=Sampling)
     textures: Path | None = None
-    start: Scene | None = None
-    fixed: Mapping[str, float] = field(default_factory=dict)
-    free: tuple[str, ...] = ()
-    solver: str = "least-squares"
-    seconds: float | None = None
-    seed: int = 0
 
 
 @dataclass(frozen=True, eq=False)
