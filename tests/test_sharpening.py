@@ -154,7 +154,7 @@ def test_pictures_without_fxaa_are_those_by_hand(footprint):
 @pytest.mark.slow
 @pytest.mark.parametrize("footprint", [0.0, 0.5, 1.0])
 def test_the_strength_found_is_that_of_a_grid_search(footprint):
-    asked = sharpening.Options(Sampling(FACTOR, footprint), fixed=STRENGTH_ALONE)
+    asked = sharpening.Options(sampling=Sampling(FACTOR, footprint), fixed=STRENGTH_ALONE)
     found = sharpening.solve(photo(textured()), asked)
     settings = found.solution.scene.antialiasing
     lobes = np.linspace(0.0, 0.25, 26)
@@ -170,7 +170,7 @@ def test_the_strength_found_is_that_of_a_grid_search(footprint):
 @pytest.mark.slow
 def test_points_are_best_not_sharpened_and_wide_samples_are():
     found = {
-        footprint: sharpening.fit(photo(textured()), sharpening.Options(Sampling(FACTOR, footprint)))
+        footprint: sharpening.fit(photo(textured()), sharpening.Options(sampling=Sampling(FACTOR, footprint)))
         for footprint in (0.0, 1.0)
     }
     assert found[0.0].parameters["AA_SHARPENING"].value < 0.02
