@@ -8,6 +8,8 @@ the rest. scipy's `dogbox`, made for bounds, often stopped far from any minimum.
 `trf` is given n + 1 residuals that make the same model, because it decomposes the whole Jacobian at every step, which
 for 10 000 residuals took 2 to 60 ms, by threads, beside 20 ms for the Jacobian.
 
+Derivatives are taken at every trial: most are kept, and then residuals alone would have been in vain.
+
 [1] M. A. Branch, T. F. Coleman, Y. Li, "A subspace, interior, and conjugate gradient method for large-scale
     bound-constrained minimization problems", 1999.
 [2] H. B. Nielsen, "Damping parameter in Marquardt's method", IMM-REP-1999-05: how the damping changes.
@@ -17,6 +19,7 @@ import numpy as np
 from jaxtyping import Float64
 from scipy.optimize import least_squares
 
+from fit.gauss_newton import half_square
 from fit.minimum import Budget, Ending, Minimum, Objective, Point, Watch, watched
 
 COARSE_LOSS, COARSE_POINT = 1e-2, 1e-3  # changes, relative and of the point, below which `trf` has done its part
@@ -41,7 +44,7 @@ def _search(watch: Watch, start: Point) -> Ending:
         _approach(watch, start)
         return _finish(watch)
     except NoDerivative:
-        return Ending("the residuals have no derivative at the best point", converged=False)
+        return Ending("the residuals have no derivative at a point of the search", converged=False)
 
 
 def _approach(watch: Watch, start: Point) -> None:
@@ -50,7 +53,7 @@ def _approach(watch: Watch, start: Point) -> None:
 
     def residuals(point: Point) -> Point:
         along = np.zeros(point.size + 1)
-        along[0] = (2.0 * watch.evaluate(point)) ** 0.5 / scale
+        along[0] = (2.0 * half_square(watch.model(point).residuals)) ** 0.5 / scale
         return along
 
     def jacobian(point: Point) -> Float64[np.ndarray, "m n"]:
@@ -79,19 +82,19 @@ def _finish(watch: Watch) -> Ending:
     while True:
         trial = model.lowest(damping)
         promised = model.decrease(trial)
-        gained = model.loss - watch.evaluate(trial)
+        tried = watch.model(trial)
+        gained = model.loss - tried.loss
         # Under strong damping a small gain says only that the step was short.
         if damping <= 1.0 and max(promised, abs(gained)) <= tolerance * model.loss:
             return Ending("the loss no longer falls", converged=True)
         if abs(trial - model.point).max() <= tolerance:
             # Or could not: a kink, or a border of what is finite, also makes the damping grow.
             return Ending("the point no longer moves", watch.is_settled())
-        reached = watch.model(trial) if gained > 0.0 else model
-        if reached is not model and reached.is_finite:
+        if gained > 0.0:
             watch.iterations += 1
             kept = min(gained / promised, 1.0) if promised > 0.0 else 1.0
             damping *= max(0.1, 1.0 - (2.0 * kept - 1.0) ** 3)
-            model, growth = reached, 2.0
+            model, growth = tried, 2.0
         else:
             damping *= growth
             growth *= 2.0

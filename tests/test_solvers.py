@@ -189,7 +189,7 @@ def test_search_that_meets_a_missing_derivative_says_so() -> None:
 
     halting = Halting(bowl(0.3, 0.8).function, 2)
     found = solver("least-squares")(halting, halting.start, Budget())
-    assert found.loss < halting.loss(halting.start)
+    assert found.loss == halting.loss(halting.start)
     assert "no derivative" in found.reason
     assert not found.converged
 
@@ -303,7 +303,7 @@ def test_least_squares_asks_for_each_point_once() -> None:
     found = solver("least-squares")(problem, problem.start, Budget())
     points = [point.tobytes() for point in problem.asked]
     assert found.evaluations == len(set(points))
-    assert max(points.count(point) for point in points) == 2  # its residuals, then its derivatives
+    assert len(points) == len(set(points))
 
 
 def test_coordinate_settles_on_a_bound_only_where_the_loss_does_not_grow() -> None:
