@@ -28,24 +28,27 @@ def draw(fogged: Fogged, scene: Scene) -> dict[str, Radiance]:
     fitted, bare = np.full(shape, np.nan, np.float32), np.full(shape, np.nan, np.float32)
     point = torch.from_numpy(fogged.solution.minimum.point)
     lights = fogged.objective.lights(point)
+    ambient = skylight(scene)  # tables of a whole sky: not once for every band
     for rows in bands(shape[0]):
         line, column = np.nonzero(fogged.seen.known[rows])
         if line.size:
             line = line + rows.start
             pixels = fogged.seen.at(line, column)
-            seen_fog, through = _fog(scene, pixels)
+            seen_fog, through = _fog(scene, pixels, ambient)
             fitted[line, column] = (seen_fog + through * _background(scene, pixels, lights, point)).numpy()
             without = (pixels.radiance - seen_fog).clamp(min=0.0) / through
             bare[line, column] = torch.where(through > LEAST_SEEN, without, torch.nan).numpy()
     return {"fog": fitted, "without fog": bare}
 
 
-def _fog(scene: Scene, pixels: FogPixels) -> tuple[Float[Tensor, "n 3"], Float[Tensor, "n 3"]]:
+def _fog(
+    scene: Scene, pixels: FogPixels, ambient: Float[Tensor, "3"]
+) -> tuple[Float[Tensor, "n 3"], Float[Tensor, "n 3"]]:
     """Radiance of a scene's fog alone, and the share of the light behind it that comes through."""
     assert scene.height_fog is not None  # a fog fit's scene has one
     sun = pre_exposed(scene.sun, scene.exposure.exposure)
     black = torch.zeros_like(pixels.radiance)
-    view = FogView(pixels.rays, black, to_sun(sun), sun.irradiance, skylight(scene))
+    view = FogView(pixels.rays, black, to_sun(sun), sun.irradiance, ambient)
     through = torch.exp(-torch.clamp(height_fog.optical_depth(scene.height_fog, pixels.rays), max=height_fog.OPAQUE))
     return height_fog.render(scene.height_fog, view), through
 

@@ -1,6 +1,7 @@
 """A photo of fog, with what is known beside it: distances, the same view without fog, the sky behind."""
 
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 
 import numpy as np
@@ -89,8 +90,21 @@ class FoggyPhoto:
             rays=Rays(origin, direction, length),
             radiance=torch.from_numpy(self.photo.radiance[line, column]).double(),
             clear=None if self.clear is None else torch.from_numpy(self.clear[line, column]).double(),
-            behind=_behind(self.home, direction, length.isinf()),
+            behind=self._behind(direction, length.isinf()),
         )
+
+    def _behind(self, direction: Float[Tensor, "n 3"], is_sky: Bool[Tensor, " n"]) -> Float[Tensor, "n 3"]:
+        """Radiance of the sky behind the fog up to a factor, even if no sky is known; 0 for surfaces."""
+        if self.home.sky is None:
+            return is_sky[:, None].double().expand(-1, 3)
+        seen = sky.TabledView(sky_view(self.home, direction), self._sky_tables)
+        return sky.render_tables(self.home.sky, seen) * is_sky[:, None]
+
+    @cached_property
+    def _sky_tables(self) -> sky.SkyTables:
+        """Tables of the sky at home, which every band of pixels looks up."""
+        assert self.home.sky is not None  # asked for only where there is one
+        return sky.prepare(self.home.sky, sky_view(self.home, torch.zeros(1, 3, dtype=torch.float64))).tables
 
     def _smoothed(self, line: Int[np.ndarray, " n"], column: Int[np.ndarray, " n"]) -> Float[Tensor, "n 3"]:
         """Mean radiance of the used pixels round some, with a floor: what differences are relative to."""
@@ -152,11 +166,3 @@ def _horizon_band(photo: Photo) -> Bool[np.ndarray, "height width"]:
         up = photo.camera.direction(*pixel_centres(photo.camera, rows, torch.zeros(())))[..., 2].numpy()
         band[rows] = (up > 0.0) & (up < BAND_TOP)
     return band
-
-
-def _behind(home: Scene, direction: Float[Tensor, "n 3"], is_sky: Bool[Tensor, " n"]) -> Float[Tensor, "n 3"]:
-    """Radiance of the sky behind the fog up to a factor, even if no sky is known; 0 for surfaces."""
-    if home.sky is None:
-        return is_sky[:, None].double().expand(-1, 3)
-    seen = sky.prepare(home.sky, sky_view(home, direction))
-    return sky.render_tables(home.sky, seen) * is_sky[:, None]

@@ -7,7 +7,7 @@ from jaxtyping import Float64
 from fit.minimum import Point
 from fit.sampled_photo import MARGIN, TILE
 from fit.sharpening_objective import SharpeningObjective
-from fit.uncertainty import AT_BOUND, WIDEST, Uncertainty, reasons
+from fit.uncertainty import NEAR_BOUND, WIDEST, Uncertainty, reasons
 
 BLOCK = 8  # side of a part [pixels]: errors of anti-aliasing are alike over few
 
@@ -22,7 +22,7 @@ def uncertainty(objective: SharpeningObjective, point: Point) -> Uncertainty:
     [1] K.-Y. Liang, S. L. Zeger, "Longitudinal data analysis using generalized linear models", Biometrika 73, 1986.
     """
     residuals, slopes = (one.numpy() for one in objective.jacobian(torch.from_numpy(point)))
-    why = reasons(slopes, point, AT_BOUND)
+    why = reasons(slopes, point, NEAR_BOUND)
     error, correlation = np.full(point.size, np.nan), np.eye(point.size)
     free = [index for index, reason in enumerate(why) if not reason]
     if free:

@@ -26,9 +26,8 @@ from fit.residual_covariance import score_covariance
 
 WIDEST = 0.25  # standard error, as a share of the bounds, from which a parameter counts as not determined
 LEAST_RESOLUTION = 0.5  # below which the prior has the greater say, and the photo does not determine a parameter
-AT_BOUND = (
-    1e-2  # so near a face of the cube the noise alone may have led there, and slopes say little of what is beyond
-)
+# So near a face of the cube the noise alone may have led there, and slopes say little of what is beyond.
+NEAR_BOUND = 1e-2
 # Share of the slopes of a direction's unit step that its parameters' columns cancel to: below it, differences of a
 # millionth cannot tell the parameters apart.
 COLLINEAR = 1e-5
@@ -82,7 +81,7 @@ def uncertainty(evidence: Evidence, point: Float64[np.ndarray, " k"]) -> Uncerta
     Coordinates on a face of the cube, without slope, with an error beyond WIDEST or where the prior has the greater say
     are not determined. They stay free in the errors of the others: the face may be the noise's doing.
     """
-    why = reasons(evidence.slopes.reshape(-1, point.size), point, AT_BOUND)
+    why = reasons(evidence.slopes.reshape(-1, point.size), point, NEAR_BOUND)
     covariance, resolution = _covariance(evidence)
     error = np.sqrt(np.maximum(covariance.diagonal(), 0.0))
     for index in unexplained(why):
