@@ -52,8 +52,13 @@ class FitRun:
 
     @property
     def solve_seconds(self) -> float:
-        """By the fit's own account; reading and writing are not in it."""
+        """By the fit's own account; reading, writing and error bars are not in it."""
         return float(self.account["seconds"]["solve"])
+
+    @property
+    def errors_seconds(self) -> float:
+        """By the fit's own account: its error over all pixels, and the error bars."""
+        return float(self.account["seconds"]["errors"])
 
     @property
     def read_seconds(self) -> float:

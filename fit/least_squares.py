@@ -15,6 +15,8 @@ Derivatives are taken at every trial: most are kept, and then residuals alone wo
 [2] H. B. Nielsen, "Damping parameter in Marquardt's method", IMM-REP-1999-05: how the damping changes.
 """
 
+from contextlib import suppress
+
 import numpy as np
 from jaxtyping import Float64
 from scipy.optimize import least_squares
@@ -28,6 +30,10 @@ FIRST_DAMPING = 1e-3
 
 class NoDerivative(Exception):  # noqa: N818 - a signal, never seen outside
     """At a point that scipy has gone to."""
+
+
+class Near(Exception):  # noqa: N818 - a signal, never seen outside
+    """The minimum, at a point that scipy has gone to."""
 
 
 def minimise(objective: Objective, start: Point, budget: Budget) -> Minimum:
@@ -49,6 +55,7 @@ def _search(watch: Watch, start: Point) -> Ending:
 
 def _approach(watch: Watch, start: Point) -> None:
     tolerance = watch.budget.tolerance
+    tolerance = watch.budget.tolerance
     scale = watch.model(start).loss ** 0.5 or 1.0
 
     def residuals(point: Point) -> Point:
@@ -61,18 +68,21 @@ def _approach(watch: Watch, start: Point) -> None:
         if not model.is_finite:
             raise NoDerivative
         watch.iterations += 1
+        if model.decrease(model.lowest(FIRST_DAMPING)) <= tolerance * model.loss:
+            raise Near
         return model.turned_jacobian / scale
 
-    least_squares(
-        residuals,
-        start,
-        jac=jacobian,
-        bounds=(0.0, 1.0),
-        ftol=max(COARSE_LOSS, tolerance),
-        xtol=max(COARSE_POINT, tolerance),
-        gtol=1e-15,
-        max_nfev=watch.budget.evaluations,
-    )
+    with suppress(Near):
+        least_squares(
+            residuals,
+            start,
+            jac=jacobian,
+            bounds=(0.0, 1.0),
+            ftol=max(COARSE_LOSS, tolerance),
+            xtol=max(COARSE_POINT, tolerance),
+            gtol=1e-15,
+            max_nfev=watch.budget.evaluations,
+        )
 
 
 def _finish(watch: Watch) -> Ending:
@@ -82,14 +92,14 @@ def _finish(watch: Watch) -> Ending:
     while True:
         trial = model.lowest(damping)
         promised = model.decrease(trial)
-        tried = watch.model(trial)
-        gained = model.loss - tried.loss
-        # Under strong damping a small gain says only that the step was short.
-        if damping <= 1.0 and max(promised, abs(gained)) <= tolerance * model.loss:
+        # Under strong damping a small promise says only that the step is short.
+        if damping <= 1.0 and promised <= tolerance * model.loss:
             return Ending("the loss no longer falls", converged=True)
         if abs(trial - model.point).max() <= tolerance:
             # Or could not: a kink, or a border of what is finite, also makes the damping grow.
             return Ending("the point no longer moves", watch.is_settled())
+        tried = watch.model(trial)
+        gained = model.loss - tried.loss
         if gained > 0.0:
             watch.iterations += 1
             kept = min(gained / promised, 1.0) if promised > 0.0 else 1.0

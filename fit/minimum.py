@@ -55,6 +55,13 @@ class Minimum:
     reason: str
     iterations: int
     evaluations: int  # points at which the loss was asked for; a derivative at the same point is not another
+    model: QuadraticModel | None = None  # at the point, where the search ended with one
+
+    def derivatives(self, objective: Objective) -> tuple[Tensor, Tensor]:
+        """Residuals and their derivatives at the point; of the search itself where it ended with them."""
+        if self.model is None:
+            return objective.jacobian(torch.from_numpy(self.point))
+        return self.model.residuals, self.model.jacobian
 
 
 @dataclass(frozen=True)
@@ -166,9 +173,15 @@ class Watch:
         """
         if self.best is None:
             raise FloatingPointError("the loss was not finite anywhere")
-        history = tuple(self.history)
         return Minimum(
-            self.best, self.loss, history, ending.converged, ending.reason, self.iterations, evaluations=len(history)
+            point=self.best,
+            loss=self.loss,
+            history=tuple(self.history),
+            converged=ending.converged,
+            reason=ending.reason,
+            iterations=self.iterations,
+            evaluations=len(self.history),
+            model=self.latest_model if self.latest_model and _same(self.latest_model.point, self.best) else None,
         )
 
     def _saw(self, point: Point, loss: float) -> None:

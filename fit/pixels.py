@@ -1,6 +1,7 @@
 """The pixels that a fit looks at: a photo averaged over boxes, so that no cost grows with its size, and samples."""
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 import torch
@@ -23,7 +24,7 @@ class Pixels:
     direction: Float[Tensor, "h w 3"]  # of the boxes' middles
     solid_angle: Float[Tensor, "h w"]  # [sr]
 
-    @property
+    @cached_property
     def floor(self) -> float:
         """Radiance that is added before a logarithm is taken."""
         return FLOOR * float(self.radiance[self.used].median())

@@ -7,7 +7,7 @@ import torch
 
 from diffrender.scene import Scene, places
 from fit.gauss_newton import QuadraticModel
-from fit.minimum import AT_BOUND, Point
+from fit.minimum import AT_BOUND, Minimum, Point
 from fit.objective import SkyObjective
 from fit.search_space import SearchSpace, put, value
 from fit.uncertainty import WIDEST, reasons, unexplained
@@ -29,11 +29,11 @@ def pinned_scene(space: SearchSpace, point: Point, names: Sequence[str], home: S
     return scene
 
 
-def left_open(objective: SkyObjective, point: Point) -> dict[str, str]:
+def left_open(objective: SkyObjective, minimum: Minimum) -> dict[str, str]:
     """Reason of each searched name that may give way to others; empty for those that the photo speaks of."""
-    residuals, slopes = (found.numpy() for found in objective.jacobian(torch.from_numpy(point)))
+    residuals, slopes = (found.numpy() for found in minimum.derivatives(objective))
     count = objective.sample.log_radiance.numel()
-    why = reasons(slopes[:count], point, AT_BOUND)
+    why = reasons(slopes[:count], minimum.point, AT_BOUND)
     while kept := unexplained(why):
         curvature = slopes[:, kept].T @ slopes[:, kept]
         error = np.sqrt(np.linalg.inv(curvature).diagonal() * float(residuals @ residuals) / PATCHES)

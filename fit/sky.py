@@ -58,10 +58,10 @@ POOL = (
     "SKY_OVERCAST_TRANSMITTANCE_B",
 )
 LEAN = 3.2  # towards the sun, of the clouds where a search begins
-COARSE = sky.Size(rows=14, columns=3, steps=10, heights=5, suns=8, steps_around=5)  # of the search's tables
-FINE = sky.Size(rows=16, columns=5, steps=24, heights=6, suns=8, steps_around=6)  # of its last ones
+SIZE = sky.Size(rows=16, columns=5, steps=24, heights=6, suns=8, steps_around=6)  # of the search's tables
 # Twice these pixels, tables of twice the cells and tighter tolerances change the error by less than 1 %.
 COARSE_PIXELS, FINE_PIXELS = 400, 1200
+GAIN_PIXELS = 10_000  # the gains' own standard error is then below a thousandth
 ROUGH_BUDGET, FINE_BUDGET = Budget(tolerance=3e-3), Budget(tolerance=1e-3)
 LATE_BUDGET = Budget(tolerance=3e-4, evaluations=60)  # of what is searched on top of what was found
 
@@ -85,7 +85,6 @@ def fit(photo: Photo | Path, options: Options | None = None) -> Solution:
     _check(pixels)
     read = time.monotonic()
     found = solve(pixels, place, options)
-    solved = time.monotonic()
     space, known = found.space, found.known
     kept = [index for index, name in enumerate(space.free) if found.parameters[name].determined]
     return Solution(
@@ -106,7 +105,7 @@ def fit(photo: Photo | Path, options: Options | None = None) -> Solution:
         minimum=found.minimum,
         solver=options.solver,
         seed=options.seed,
-        seconds={"read": read - began, "solve": solved - read},
+        seconds={"read": read - began, **found.seconds},
         versions={name: version(name) for name in ("diffrender", "torch", "numpy", "scipy", "nlopt")},
     )
 
@@ -122,6 +121,7 @@ class Solved:
     error: float  # mean square of the difference of log radiance
     known: Uncertainty
     parameters: Mapping[str, Fitted]
+    seconds: Mapping[str, float]  # to find the scene; then its error and those of its parameters
 
 
 def solve(pixels: Pixels, place: SunPlace, options: Options) -> Solved:
@@ -130,13 +130,21 @@ def solve(pixels: Pixels, place: SunPlace, options: Options) -> Solved:
     Raises:
         InputError: when an option cannot be used.
     """
+    began = time.monotonic()
     is_guess = options.sun is None and not place.visible
     late = tuple(name for name in hidden_sun.NAMES if is_guess and name not in options.free)
     found = _search(_home(options, place), pixels, options, late)
-    scene, error, known = _account(found.objective, pixels, found, options)
-    space = found.objective.space
+    space, point = found.objective.space, torch.from_numpy(found.minimum.point)
+    # The tables from which a picture is drawn: gains of coarser ones would be off by a percent.
+    drawn = replace(found.objective, geometry=_geometry(space, sky.Size()))
+    gains = _closed_form_gains(drawn, pixels, stratified(pixels, GAIN_PIXELS, options.seed), point)
+    scene = account.exposed(space.scene(point), gains)
+    solved = time.monotonic()
+    known = _known(found, options)
+    error = _error(drawn, pixels, point, gains)
     parameters = account.parameters(scene, space, known, lambda n: found.pinned.get(n) or _unsearched(n, options))
-    return Solved(space, found.minimum, found.pinned, scene, error, known, parameters)
+    seconds = {"solve": solved - began, "errors": time.monotonic() - solved}
+    return Solved(space, found.minimum, found.pinned, scene, error, known, parameters, seconds)
 
 
 def _check(pixels: Pixels) -> None:
@@ -207,7 +215,7 @@ def _search(home: Scene, pixels: Pixels, options: Options, late: tuple[str, ...]
 
 
 def _stages(home: Scene, pixels: Pixels, options: Options, late: tuple[str, ...]) -> Iterator[_Found]:
-    """Minimum on few pixels and coarse tables; again without what the photo leaves open; polished on more and finer.
+    """Minimum on few pixels; again without what the photo leaves open; polished on more of them.
 
     What is searched late comes on top, from there.
     """
@@ -218,33 +226,30 @@ def _stages(home: Scene, pixels: Pixels, options: Options, late: tuple[str, ...]
         left = None if options.seconds is None else max(options.seconds - (time.monotonic() - began), 0.0)
         return minimise(objective, start, replace(budget, seconds=left, seed=options.seed))
 
+    few = _sample(pixels, stratified(pixels, COARSE_PIXELS, options.seed))
+    many = _sample(pixels, stratified(pixels, FINE_PIXELS, options.seed + 1))
     tried = []
     for start in hidden_sun.starts(home) if late else [home]:
         space = _space(options, start)
-        rough = _objective(space, pixels, COARSE_PIXELS, COARSE, options.seed)
+        rough = SkyObjective(space, few, _geometry(space, SIZE))
         tried.append((search(rough, begin(space), ROUGH_BUDGET), rough, start))
         yield _Found(rough, tried[-1][0], {})
     first, rough, home = min(tried, key=lambda one: one[0].loss)
     last = first
-    kept, wider, pinned = _reselected(rough, first.point, home, options)
+    wider, pinned = _reselected(rough, first, home, options)
     if pinned:
         rough = replace(rough, space=wider)
         last = search(rough, begin(wider), ROUGH_BUDGET)
         yield _Found(rough, last, pinned)
-    if last.loss > first.loss:
-        # Others in their place led to a worse minimum.
-        rough = replace(rough, space=kept)
-        last = search(rough, kept.point(kept.start), ROUGH_BUDGET)
-        yield _Found(rough, last, pinned)
-    fine = _objective(rough.space, pixels, FINE_PIXELS, FINE, options.seed + 1)
+    fine = replace(rough, sample=many)
     last = search(fine, last.point, FINE_BUDGET)
     yield _Found(fine, last, pinned)
     if late:
         space = fine.space
         wider = SearchSpace(space.scene(torch.from_numpy(last.point)), (*space.free, *late))
-        with_late = replace(fine, space=wider, geometry=_geometry(wider, FINE))
+        with_late = replace(fine, space=wider, geometry=_geometry(wider, SIZE))
         moved = search(with_late, wider.point(wider.start), LATE_BUDGET)
-        if why := hidden_sun.why_not(wider, moved.point, left_open(with_late, moved.point)):
+        if why := hidden_sun.why_not(wider, moved.point, left_open(with_late, moved)):
             stays = replace(last, history=moved.history, iterations=moved.iterations, evaluations=moved.evaluations)
             yield _Found(fine, stays, {**pinned, **dict.fromkeys(late, why)})
         else:
@@ -252,32 +257,26 @@ def _stages(home: Scene, pixels: Pixels, options: Options, late: tuple[str, ...]
 
 
 def _reselected(
-    objective: SkyObjective, point: Point, home: Scene, options: Options
-) -> tuple[SearchSpace, SearchSpace, dict[str, str]]:
-    """Space without what the photo leaves open, one in which others take its place, and why names were left out."""
-    space = objective.space
+    objective: SkyObjective, minimum: Minimum, home: Scene, options: Options
+) -> tuple[SearchSpace, dict[str, str]]:
+    """Space in which others take the place of what the photo leaves open, and why that was left out."""
+    space, point = objective.space, minimum.point
     overcast = float(value(space.scene(torch.from_numpy(point)), places()["SKY_OVERCAST"]))
-    pinned = undetermined(left_open(objective, point), overcast)
+    pinned = undetermined(left_open(objective, minimum), overcast)
     pinned = {name: why for name, why in pinned.items() if name not in options.free}
     if not pinned:
-        return space, space, {}
+        return space, {}
     start = pinned_scene(space, point, list(pinned), home)
     kept = SearchSpace(start, tuple(name for name in space.free if name not in pinned))
     pool = [name for name in POOL if name not in options.fixed and name not in pinned]
-    return kept, widened(replace(objective, space=kept), pool, len(space.free)), pinned
+    return widened(replace(objective, space=kept), pool, len(space.free)), pinned
 
 
-def _known(objective: SkyObjective, point: Point, options: Options) -> Uncertainty:
+def _known(found: _Found, options: Options) -> Uncertainty:
     """How well coordinates are determined, whatever is held without being known; all is where a scene was given."""
-    free = objective.space.free
     unknown = (*SEARCHED, *POOL) if options.start is None else ()
-    held = [name for name in unknown if name not in free and name not in options.fixed]
-    return uncertainty(evidence(objective, point, held), point)
-
-
-def _objective(space: SearchSpace, pixels: Pixels, count: int, size: sky.Size, seed: int) -> SkyObjective:
-    chosen = stratified(pixels, count, seed)
-    return SkyObjective(space, _sample(pixels, chosen), _geometry(space, size))
+    held = [name for name in unknown if name not in found.objective.space.free and name not in options.fixed]
+    return uncertainty(evidence(found.objective, found.minimum, held), found.minimum.point)
 
 
 def _sample(pixels: Pixels, chosen: Tensor) -> Sample:
@@ -298,34 +297,28 @@ def _geometry(space: SearchSpace, size: sky.Size) -> Callable[[Scene], sky.Geome
     return lambda _: kept
 
 
-def _account(
-    objective: SkyObjective, pixels: Pixels, found: _Found, options: Options
-) -> tuple[Scene, float, Uncertainty]:
-    """Scene with its gains, its error over all used pixels, and how well each coordinate is determined."""
-    point = torch.from_numpy(found.minimum.point)
-    known = _known(objective, found.minimum.point, options)
-    # The tables from which a picture is drawn: gains of coarser ones would be off by a percent.
-    drawn = _geometry(objective.space, sky.Size())
-    whole = replace(objective, sample=_sample(pixels, torch.arange(int(pixels.used.sum()))), geometry=drawn)
-    weight = pixels.solid_angle[pixels.used].double()
-    gains, error = _closed_form_gains(whole.radiance(point), whole.sample, weight / weight.sum())
-    return account.exposed(objective.space.scene(point), gains), error, known
-
-
 def _closed_form_gains(
-    model: Float[Tensor, "n 3"], sample: Sample, weight: Float[Tensor, " n"]
-) -> tuple[Float[Tensor, "3"], float]:
-    """Gain of each channel that makes the weighted mean square of log differences least, and that mean square."""
-    log_gain = (weight[:, None] * (sample.log_radiance - torch.log(model))).sum(0)
-    for _ in range(4):
+    drawn: SkyObjective, pixels: Pixels, chosen: Tensor, point: Float[Tensor, " n"]
+) -> Float[Tensor, "3"]:
+    """Gain of each channel that makes the mean square of log differences least over some pixels."""
+    some = _sample(pixels, chosen)
+    model = replace(drawn, sample=some).radiance(point)
+    log_gain = (some.log_radiance - torch.log(model)).mean(0)
+    for _ in range(2):
         # Newton: the floor alone keeps the first guess from being exact.
         lit = torch.exp(log_gain) * model
-        difference = torch.log(lit + sample.floor) - sample.log_radiance
-        slope = lit / (lit + sample.floor)
-        step = (weight[:, None] * difference * slope).sum(0) / (weight[:, None] * slope.square()).sum(0)
-        log_gain = log_gain - step
-    difference = torch.log(torch.exp(log_gain) * model + sample.floor) - sample.log_radiance
-    return torch.exp(log_gain), float((weight[:, None] * difference.square()).sum() / 3.0)
+        slope = lit / (lit + some.floor)
+        difference = torch.log(lit + some.floor) - some.log_radiance
+        log_gain = log_gain - (difference * slope).sum(0) / slope.square().sum(0)
+    return torch.exp(log_gain)
+
+
+def _error(drawn: SkyObjective, pixels: Pixels, point: Float[Tensor, " n"], gains: Float[Tensor, "3"]) -> float:
+    """Mean square of the difference of log radiance over all used pixels."""
+    whole = _sample(pixels, torch.arange(int(pixels.used.sum())))
+    weight = pixels.solid_angle[pixels.used].double()
+    difference = torch.log(gains * replace(drawn, sample=whole).radiance(point) + whole.floor) - whole.log_radiance
+    return float((weight[:, None] * difference.square()).sum() / (3.0 * weight.sum()))
 
 
 def _unsearched(name: str, options: Options) -> str:

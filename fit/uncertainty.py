@@ -20,7 +20,7 @@ import torch
 from jaxtyping import Float64
 
 from fit import priors
-from fit.minimum import Point
+from fit.minimum import Minimum
 from fit.objective import PRIOR_WEIGHT, SkyObjective
 from fit.residual_covariance import score_covariance
 
@@ -58,13 +58,13 @@ class Uncertainty:
     why: tuple[str, ...]
 
 
-def evidence(objective: SkyObjective, point: Point, held: Sequence[str]) -> Evidence:
-    """What a photo says around a point, and what names that are held may do to it."""
-    place = torch.from_numpy(point)
-    residuals, slopes = objective.jacobian(place)
+def evidence(objective: SkyObjective, minimum: Minimum, held: Sequence[str]) -> Evidence:
+    """What a photo says around a minimum, and what names that are held may do to it."""
+    place = torch.from_numpy(minimum.point)
+    residuals, slopes = minimum.derivatives(objective)
     shape = tuple(objective.sample.log_radiance.shape)
     count = objective.sample.log_radiance.numel()
-    pixels = slopes[:count].reshape(*shape, point.size)
+    pixels = slopes[:count].reshape(*shape, minimum.point.size)
     return Evidence(
         direction=objective.sample.direction.numpy(),
         residuals=residuals[:count].reshape(shape).numpy(),

@@ -52,7 +52,7 @@ white[: spec.height // 4] = 255
 OpenImageIO.ImageBuf(white).write(str(out / "mask.png"))
 errors = {"elevation_standard_error": None, "azimuth_standard_error": 0.5}
 sun = {"elevation": 10.54, "azimuth": 36.99, "visible": False, **errors}
-account = {"converged": True, "sun": sun, "seconds": {"read": 1.0, "solve": 2.0, "write": 1.0}}
+account = {"converged": True, "sun": sun, "seconds": {"read": 1.0, "solve": 2.0, "errors": 0.5, "write": 1.0}}
 (out / "fit.json").write_text(json.dumps(account))
 """
 
@@ -215,6 +215,7 @@ def test_peer_time_compares_what_both_sides_tell(photos, tmp_path, monkeypatch):
     assert grown["read_seconds"]["median"] == 1.0
     assert grown["peak_mebibytes"] > 10.0
     assert content["geometric_mean_ratio"] == pytest.approx(3.0)
+    assert content["geometric_mean_ratio_with_errors"] == pytest.approx(6.0 / 2.5)
     assert (tmp_path / "peer_time.png").stat().st_size > 1000
 
 
