@@ -67,6 +67,7 @@ def joined(several: Sequence[Views]) -> Views:
         torch.cat([one.frames for one in several]),
         torch.cat([one.truth for one in several]),
         torch.cat([one.centres for one in several]),
+        torch.cat([one.motion for one in several]),
     )
 
 

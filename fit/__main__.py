@@ -191,6 +191,9 @@ def sharpening(
     ] = None,
     factor: Annotated[int, typer.Option(help="How many times as fine as the pictures the photo is; even.")] = 4,
     screen: Annotated[str, typer.Option(help="What the picture is encoded for: srgb or pq.")] = "srgb",
+    motion: Annotated[
+        str, typer.Option(metavar="RIGHT,DOWN", help="Of the scene from one frame to the next, pixels.")
+    ] = "0,0",
     out: Out = None,
     projection: Projection = None,
     fov: FieldOfView = None,
@@ -215,7 +218,7 @@ def sharpening(
 
         _use_threads()
     asked = sharpening_fit.Options(
-        sampling=Sampling(factor, footprint, screen),
+        sampling=Sampling(factor, footprint, screen, options.motion(motion)),
         textures=textures,
         start=options.first_scene(start) if start else None,
         fixed=options.assignments(fix or []),

@@ -37,6 +37,19 @@ def assignments(texts: Sequence[str]) -> dict[str, float]:
     return found
 
 
+def motion(text: str) -> tuple[float, float]:
+    """Two numbers, from a text such as 1.25,-0.5.
+
+    Raises:
+        InputError: for a text of another form.
+    """
+    try:
+        right, down = (float(part) for part in text.split(","))
+    except ValueError:
+        raise InputError(f"--motion {text}; give RIGHT,DOWN in pixels a frame, such as 1.25,-0.5") from None
+    return right, down
+
+
 def start(path: Path) -> Scene:
     """Scene of the first keyframe of a weather file, in double precision.
 

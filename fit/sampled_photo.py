@@ -8,6 +8,9 @@ its pixels: a sample of footprint 0 is one of them, unchanged.
 What a footprint does is what mip maps do to textures: a sample is the mean over a square that wide. Edges of geometry
 have none; where textures are told apart from them, their samples are mixed.
 
+A scene may move between the two frames: the photo by whole pixels of its own, so that samples still meet their middles,
+behind a disc at rest in the middle of each tile, which covers some of it and uncovers other parts.
+
 [1] E. Reinhard et al., "Photographic Tone Reproduction for Digital Images", SIGGRAPH 2002, equations 1 to 3.
 """
 
@@ -34,6 +37,8 @@ SCREENS: Mapping[str, Callable[[Tensor], Tensor]] = {"srgb": shown_srgb, "pq": s
 LEAST_FACTOR, LARGEST_FACTOR = 4, 16
 STRETCHED = math.radians(60.0)  # elevation beyond which panoramas are stretched too far to show a scene
 TILE, MARGIN = 40, 4  # side of a tile and the part of it at each border that is not judged [pixels]
+FASTEST = 8.0  # motion from one frame to the next that still shows both frames the same scene [pixels]
+DISC = 9.0  # radius [pixels]
 LEAST_DETAIL = 1e-7  # mean square difference of a tile from its pixels' means that is more than rounding
 
 
@@ -45,11 +50,13 @@ class Sampling:
         factor: how many times as fine as the pictures it is; even, so that samples meet middles of its pixels.
         footprint: side of the square that a sample is the mean of [pixels], 0 to 1.
         screen: name of one of SCREENS.
+        motion: of the scene from one frame to the next, to the right and down [pixels], whole pixels of the photo.
     """
 
     factor: int = 4
     footprint: float = 1.0
     screen: str = "srgb"
+    motion: tuple[float, float] = (0.0, 0.0)
 
     def __post_init__(self) -> None:
         """Refuse what cannot be sampled.
@@ -66,6 +73,17 @@ class Sampling:
             raise InputError(f"--footprint {self.footprint:g}; give pixels from 0 (points) to 1 (mip-mapped textures)")
         if self.screen not in SCREENS:
             raise InputError(f"--screen {self.screen} is unknown; allowed are {' and '.join(SCREENS)}")
+        if not all(abs(way) <= FASTEST and way * self.factor == round(way * self.factor) for way in self.motion):
+            across, down = self.motion
+            raise InputError(
+                f"--motion {across:g},{down:g}; give pixels to the right and down, whole pixels of the photo "
+                f"(multiples of 1/{self.factor}), up to {FASTEST:g}"
+            )
+
+    @property
+    def is_at_rest(self) -> bool:
+        """Whether both frames show the same."""
+        return self.motion == (0.0, 0.0)
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,10 +93,11 @@ class Views:
     frames: Float[Tensor, "views 2 height width 3"]
     truth: Float[Tensor, "views height width 3"]
     centres: Float[Tensor, "views height width 3"]  # one sample in each pixel's centre, what FXAA alone is given
+    motion: Float[Tensor, "views height width 2"]  # from each pixel to where its surface was one frame ago [pixels]
 
     def first(self, count: int) -> "Views":
         """At most a count of them."""
-        return Views(self.frames[:count], self.truth[:count], self.centres[:count])
+        return Views(self.frames[:count], self.truth[:count], self.centres[:count], self.motion[:count])
 
 
 @dataclass(frozen=True, eq=False)
@@ -103,27 +122,67 @@ class Scenery:
 
     def views(self, corners: Sequence[tuple[int, int]], shape: tuple[int, int], dtype: torch.dtype) -> Views:
         """Pictures of a shape whose first pixels are the given rows and columns of the picture of all of it."""
-        fine = [self.shown(corner, shape, dtype) for corner in corners]
-        share = []
-        if self.is_texture is not None:
-            share = [torch.from_numpy(self.is_texture[self._window(corner, shape)]).to(dtype) for corner in corners]
-        whole = torch.stack(fine)
-        texture = torch.stack(share)[..., None] if share else None
-        frames = torch.stack([self._sampled(whole, texture, offset) for offset in edge_taa.OFFSETS], 1)
-        return Views(frames, self._at(whole, (0.0, 0.0), 1.0), self._sampled(whole, texture, (0.0, 0.0)))
+        return self._views(corners, shape, torch.zeros(1, 1, 1, dtype=dtype))
 
-    def shown(self, corner: tuple[int, int], shape: tuple[int, int], dtype: torch.dtype) -> Float[Tensor, "h w 3"]:
-        """The photo's pixels in a picture, as a screen is sent them; what is not finite is black."""
-        radiance = torch.from_numpy(self.photo.radiance[self._window(corner, shape)].astype(np.float32)).to(dtype)
+    def tiles(self, corners: Sequence[tuple[int, int]], dtype: torch.dtype) -> Views:
+        """Tiles that a fit looks at; with the disc, where the scene moves."""
+        if self.sampling.is_at_rest:
+            return self.views(corners, (TILE, TILE), dtype)
+        middles = (torch.arange(TILE * self.sampling.factor, dtype=dtype) + 0.5) / self.sampling.factor - TILE / 2
+        disc = (torch.hypot(middles[:, None], middles) <= DISC).to(dtype)
+        return self._views(corners, (TILE, TILE), disc[..., None])
+
+    def _views(self, corners: Sequence[tuple[int, int]], shape: tuple[int, int], disc: Tensor) -> Views:
+        """Pictures behind a disc, 1 where it is and 0 elsewhere, that shows them mirrored."""
+        right, down = self.sampling.motion
+        even, odd = self._fine(corners, shape, (right, down), disc), self._fine(corners, shape, (0.0, 0.0), disc)
+        mirrored = odd[0].flip(-2)
+        frames = [
+            self._sampled(torch.lerp(fine, mirrored, disc), texture, offset)
+            for (fine, texture), offset in zip((even, odd), edge_taa.OFFSETS, strict=True)
+        ]
+        now = torch.lerp(odd[0], mirrored, disc)
+        centres = self._sampled(now, odd[1], (0.0, 0.0))
+        behind = 1.0 - self._at(disc.expand(*now.shape[1:3], 1), (0.0, 0.0), 0.0)
+        motion = (behind * behind.new_tensor([-right, -down])).expand(*centres.shape[:-1], 2)
+        return Views(torch.stack(frames, 1), self._at(now, (0.0, 0.0), 1.0), centres, motion)
+
+    def _fine(
+        self, corners: Sequence[tuple[int, int]], shape: tuple[int, int], ahead: tuple[float, float], like: Tensor
+    ) -> tuple[Tensor, Tensor | None]:
+        """Photo so many pixels to the right and below of pictures, and which of it is textures."""
+        fine = torch.stack([self.shown(corner, shape, like.dtype, ahead) for corner in corners])
+        if self.is_texture is None:
+            return fine, None
+        share = [self.is_texture[self._window(corner, shape, ahead)] for corner in corners]
+        return fine, torch.from_numpy(np.stack(share)).to(like)[..., None]
+
+    def shown(
+        self,
+        corner: tuple[int, int],
+        shape: tuple[int, int],
+        dtype: torch.dtype,
+        ahead: tuple[float, float] = (0.0, 0.0),
+    ) -> Float[Tensor, "h w 3"]:
+        """The photo's pixels in a picture, or so many pixels ahead, as a screen is sent them.
+
+        What is not finite is black; beyond the photo's borders its last pixels are repeated.
+        """
+        radiance = torch.from_numpy(self.photo.radiance[self._window(corner, shape, ahead)].astype(np.float32)).to(
+            dtype
+        )
         exposed = self.exposure * torch.nan_to_num(radiance, nan=0.0, posinf=0.0, neginf=0.0)
         return SCREENS[self.sampling.screen](exposed)
 
-    def _window(self, corner: tuple[int, int], shape: tuple[int, int]) -> tuple[slice, slice]:
+    def _window(
+        self, corner: tuple[int, int], shape: tuple[int, int], ahead: tuple[float, float]
+    ) -> tuple[np.ndarray, ...]:
         factor = self.sampling.factor
         rows, columns = (
-            slice(start * factor, (start + size) * factor) for start, size in zip(corner, shape, strict=True)
+            np.arange(round((start + way) * factor), round((start + way + size) * factor)).clip(0, whole - 1)
+            for start, size, way, whole in zip(corner, shape, ahead[::-1], self.photo.radiance.shape, strict=False)
         )
-        return rows, columns
+        return np.ix_(rows, columns)
 
     def _sampled(self, fine: Tensor, texture: Tensor | None, offset: tuple[float, float]) -> Tensor:
         wide = self._at(fine, offset, self.sampling.footprint)
@@ -207,7 +266,13 @@ def _corners(scene: Scenery) -> list[tuple[int, int]]:
     for top in rows:
         is_whole = _is_whole(scene.photo, slice(top * factor, (top + TILE) * factor))
         found += [(top, left) for left in columns if is_whole[:, left * factor : (left + TILE) * factor].all()]
-    return found
+    return [corner for corner in found if _was_in_photo(scene, corner)]
+
+
+def _was_in_photo(scene: Scenery, corner: tuple[int, int]) -> bool:
+    """Whether the photo also has what a tile showed one frame ago."""
+    firsts = [start + way for start, way in zip(corner, scene.sampling.motion[::-1], strict=True)]
+    return all(0.0 <= first <= size - TILE for first, size in zip(firsts, scene.size, strict=True))
 
 
 def _starts(first: int, last: int) -> list[int]:

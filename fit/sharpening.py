@@ -4,7 +4,8 @@ The photo stands for a scene several times as fine as the pictures; what is righ
 sharpening that takes hangs on how the scene was sampled: points alias, and sharpening makes it worse; samples as wide
 as a pixel, which is what mip-mapped textures give, have lost contrast that sharpening brings back.
 
-The scene is at rest: how far history is trusted, AA_HISTORY_TOLERANCE, does nothing here and stays as it is.
+Where the scene moves, the frame before is moved along, which blurs it, and what was hidden has no history: how far that
+is trusted, AA_HISTORY_TOLERANCE, is searched then. At rest it does nothing and stays as it is.
 """
 
 import time
@@ -31,7 +32,7 @@ from fit.input_error import InputError
 from fit.minimum import INTERRUPTED, Budget, Minimum, Point
 from fit.photo import Photo
 from fit.picture import Drawn
-from fit.sampled_photo import MARGIN, TILE, Sampling, Scenery, Views
+from fit.sampled_photo import MARGIN, Sampling, Scenery, Views
 from fit.search_space import SearchSpace
 from fit.sharpening_objective import JUMPING, SharpeningObjective
 from fit.sharpening_uncertainty import uncertainty
@@ -48,6 +49,7 @@ SEARCHED = (
     "AA_EDGE_THRESHOLD_MINIMUM",
     "AA_SUBPIXEL",
 )
+OF_MOTION = "AA_HISTORY_TOLERANCE"  # searched too where the scene moves
 # Of starts: FXAA's thresholds from its author's finest to one that no edge reaches; responses; subpixel blends.
 THRESHOLDS = (
     (0.063, 0.0312),
@@ -116,7 +118,7 @@ def solve(photo: Photo, options: Options) -> Sharpened:
     space = search_space(options)
     scenery = sampled_photo.scenery(photo, options.sampling, _textures(photo, options))
     corners = sampled_photo.tiles(scenery, TILES)
-    views = scenery.views(corners, (TILE, TILE), torch.float64)
+    views = scenery.tiles(corners, torch.float64)
     read = time.monotonic()
     objective = SharpeningObjective(space, views)
     minimum = search(objective, options)
@@ -166,7 +168,8 @@ def search_space(options: Options) -> SearchSpace:
     plain = Scene(defaults(Exposure), defaults(Sun), sky=None, antialiasing=defaults(AntiAliasing))
     given = {} if options.start is None else keyframes.values(options.start)
     home = keyframes.scene({**keyframes.values(plain), **given, **options.fixed}, torch.float64)
-    names = dict.fromkeys((*SEARCHED, *options.free))
+    of_motion = () if options.sampling.is_at_rest else (OF_MOTION,)
+    names = dict.fromkeys((*SEARCHED, *of_motion, *options.free))
     return SearchSpace(home, tuple(name for name in names if name not in options.fixed))
 
 
@@ -301,4 +304,8 @@ def _notes(scenery: Scenery, options: Options, count: int) -> Iterator[str]:
     yield f"samples are means over {max(sampling.footprint, 1.0 / sampling.factor):g} pixels{where}"
     yield f"shown in {sampling.screen} after its radiance was multiplied by {scenery.exposure:.4g}"
     yield f"{MARGIN} pixels at the borders of tiles are not judged"
-    yield "the scene is at rest: AA_HISTORY_TOLERANCE does nothing here and stays"
+    if sampling.is_at_rest:
+        yield f"the scene is at rest: {OF_MOTION} does nothing here and stays"
+    else:
+        right, down = sampling.motion
+        yield f"the scene moves {right:g},{down:g} pixels a frame, in tiles behind a disc at rest"

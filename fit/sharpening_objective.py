@@ -1,9 +1,10 @@
 """What a sharpening fit makes small: the difference that is seen between an anti-aliased picture and the truth.
 
 The difference is of what the screen is sent, so that equal numbers look about equally bad. Pictures are drawn by the
-effect itself, two frames of a scene at rest. By sharpening, its response and the subpixel blend the derivatives are
-exact. FXAA's thresholds move the picture in jumps, one for each pixel that becomes an edge or is no longer one; what
-stands for their derivatives are differences over a twentieth of their bounds, the slope of many such jumps.
+effect itself, two frames of a scene. By sharpening, its response and the subpixel blend the derivatives are exact.
+FXAA's thresholds and the tolerance of history move the picture in jumps, one for each pixel that becomes an edge or
+whose history is used, or no longer; what stands for their derivatives are differences over a twentieth of their bounds,
+the slope of many such jumps.
 """
 
 from dataclasses import dataclass
@@ -20,7 +21,7 @@ from diffrender.images import Frames
 from fit.sampled_photo import Views, inner
 from fit.search_space import SearchSpace
 
-JUMPING = ("AA_EDGE_THRESHOLD", "AA_EDGE_THRESHOLD_MINIMUM")
+JUMPING = ("AA_EDGE_THRESHOLD", "AA_EDGE_THRESHOLD_MINIMUM", "AA_HISTORY_TOLERANCE")
 STRIDE = 0.025  # of the unit cube to each side, over which jumps make a slope
 
 UNSMOOTHED = Decisions(lambda _, picture: picture, history.accept)  # two frames without FXAA
@@ -57,6 +58,6 @@ class SharpeningObjective:
 
 
 def drawn(settings: AntiAliasing, views: Views, decisions: Decisions = HARD) -> Float[Tensor, "views height width 3"]:
-    """Pictures of views at rest, as they are from the second frame on."""
-    still = views.truth.new_zeros(*views.frames.shape[:-1], 2)
-    return edge_taa.render(settings, Frames(views.frames, still, None), decisions)[..., -1, :, :, :]
+    """Pictures of the second frame of views."""
+    motion = views.motion[:, None].expand(*views.frames.shape[:-1], 2)
+    return edge_taa.render(settings, Frames(views.frames, motion, None), decisions)[..., -1, :, :, :]

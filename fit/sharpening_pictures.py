@@ -1,5 +1,6 @@
 """Pictures of a sharpening fit: what each way of anti-aliasing makes of a photo, how good it is, and crops of it."""
 
+import math
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 
@@ -15,12 +16,13 @@ from diffrender.antialiasing.settings import AntiAliasing
 from diffrender.colour import pq_decode, srgb_decode, srgb_encode
 from diffrender.parameters import defaults
 from fit.picture import Drawn
-from fit.sampled_photo import Scenery, Views, inner
+from fit.sampled_photo import FASTEST, Scenery, Views, inner
 from fit.sharpening_objective import UNSMOOTHED, drawn
 
 ROWS = 128  # of a picture, drawn at a time
 CROPS = 3  # that the report shows
-REACH = 16  # pixels beyond which nothing changes a pixel: FXAA's search of preset 12, two taps and a sample's square
+# Pixels beyond which nothing changes a pixel: FXAA's search of preset 12, two taps and a sample's square, and motion.
+REACH = 16 + 1 + math.ceil(FASTEST)
 SHOWN = ("none", "fxaa", "default", "fitted", "reference")  # side by side in the report and in fitted.exr
 
 
@@ -79,7 +81,8 @@ def _ssim(pictures: Float[np.ndarray, "n h w 3"], truths: Float[np.ndarray, "n h
 def draw(scenery: Scenery, settings: AntiAliasing) -> Drawn:
     """The whole photo by each method that is shown, the fitted one first: linear light of the screen, 1 its peak.
 
-    Band by band, in float32, in the size of the pictures. What filters push beyond black and white is cut off there.
+    Band by band, in float32, in the size of the pictures; where the scene moves, all of it does. What filters push
+    beyond black and white is cut off there.
     """
     height, width = scenery.size
     found: Drawn = {

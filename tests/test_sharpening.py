@@ -15,7 +15,7 @@ from diffrender.rays import Equirectangular, Perspective
 from fit import keyframes, options, png, sampled_photo, sharpening, sharpening_pictures, weather_file
 from fit.photo import Photo
 from fit.sampled_photo import MARGIN, TILE, Sampling, inner, scenery, tiles
-from fit.sharpening_objective import JUMPING, SharpeningObjective, drawn
+from fit.sharpening_objective import JUMPING, UNSMOOTHED, SharpeningObjective, drawn
 
 pytest_plugins = ["command_fixtures"]
 
@@ -198,13 +198,66 @@ def test_derivatives_are_those_of_differences():
         assert float(wanted.abs().max()) > 0.0
 
 
-def test_a_picture_in_bands_is_the_picture_whole(monkeypatch):
-    scene = scenery(photo(textured(64, 400)), Sampling(FACTOR, 0.5), None)
+@pytest.mark.parametrize("motion", [(0.0, 0.0), (-7.75, 6.25)])
+def test_a_picture_in_bands_is_the_picture_whole(monkeypatch, motion):
+    scene = scenery(photo(textured(64, 400)), Sampling(FACTOR, 0.5, motion=motion), None)
     settings = defaults(AntiAliasing)
     whole = sharpening_pictures.draw(scene, settings)
     monkeypatch.setattr(sharpening_pictures, "ROWS", 23)
     for name, picture in sharpening_pictures.draw(scene, settings).items():
-        np.testing.assert_array_equal(picture, whole[name])
+        # torch's powers round by where in a vector a number lies.
+        np.testing.assert_allclose(picture, whole[name], rtol=1e-6)
+
+
+# Motion
+
+
+MOTION = (2.0, -1.0)
+
+
+def moving(motion, footprint=0.5):
+    radiance = textured(SIDE + 64, SIDE + 64)
+    scene = scenery(photo(radiance), Sampling(FACTOR, footprint, motion=motion), None)
+    return scene, scene.tiles([(4, 4)], torch.float64)
+
+
+def test_what_is_behind_the_disc_was_where_its_motion_says():
+    scene, views = moving(MOTION)
+    still = scene.views([(4, 4)], (TILE, TILE), torch.float64)
+    right, down = (int(way) for way in MOTION)
+    even, before = views.frames[0, 0], scenery(scene.photo, Sampling(FACTOR, 0.5), None)
+    wanted = before.views([(4 + down, 4 + right)], (TILE, TILE), torch.float64).frames[0, 0]
+    middle = slice(TILE // 2 - 5, TILE // 2 + 5)
+    assert torch.equal(even[:8], wanted[:8])
+    assert not torch.isclose(even[middle, middle], wanted[middle, middle]).all()
+    assert torch.equal(views.motion[0, 0, 0], torch.tensor([-2.0, 1.0], dtype=torch.float64))
+    assert torch.equal(views.motion[0, middle, middle], torch.zeros(10, 10, 2, dtype=torch.float64))
+    assert torch.equal(still.truth[0, :8], views.truth[0, :8])
+
+
+def test_history_that_moves_along_is_as_good_as_that_of_a_scene_at_rest():
+    scene, views = moving(MOTION)
+    settings = defaults(AntiAliasing, torch.float64)
+    rest = scenery(scene.photo, Sampling(FACTOR, 0.5), None).views([(4, 4)], (TILE, TILE), torch.float64)
+    # Motion by whole pixels blurs nothing; rows away from the disc and the border, as far as the filter's taps see.
+    pictures = [drawn(settings, one, UNSMOOTHED)[0, 4:7, 4:-4] for one in (views, rest)]
+    torch.testing.assert_close(*pictures)
+    forgotten = replace(views, motion=torch.zeros_like(views.motion))
+    errors = [float(inner(drawn(settings, one) - one.truth).square().mean()) for one in (views, forgotten)]
+    assert errors[0] < 0.9 * errors[1]
+
+
+def test_the_tolerance_of_history_is_searched_where_the_scene_moves():
+    seen = photo(textured(SIDE + 64, SIDE + 64))
+    asked = sharpening.Options(sampling=Sampling(FACTOR, 0.5, motion=(1.25, -0.5)), fixed=STRENGTH_ALONE)
+    found = sharpening.solve(seen, asked)
+    assert found.solution.parameters["AA_HISTORY_TOLERANCE"].why != "default"
+    assert any("moves 1.25,-0.5 pixels a frame" in note for note in found.solution.notes)
+    scores = {name: score["psnr"] for name, score in found.solution.scores.items()}
+    usual = sharpening.search_space(sharpening.Options(fixed=STRENGTH_ALONE)).start.antialiasing
+    begun = float(inner(drawn(usual, found.views) - found.views.truth).square().mean())
+    assert found.solution.error < begun
+    assert scores["fitted"] >= scores["average"]
 
 
 # The command
@@ -263,6 +316,9 @@ def test_the_weather_file_draws_the_same_picture(run, given, tmp_path):
         (("photo.exr", "--factor", "5"), "--factor 5; give an even number from 4 to 16"),
         (("photo.exr", "--footprint", "1.5"), "--footprint 1.5; give pixels from 0"),
         (("photo.exr", "--footprint", "nan"), "--footprint nan; give pixels from 0"),
+        (("photo.exr", "--motion", "1.1,0"), "--motion 1.1,0; give pixels to the right and down, whole pixels"),
+        (("photo.exr", "--motion", "9,0"), "up to 8"),
+        (("photo.exr", "--motion", "fast"), "--motion fast; give RIGHT,DOWN"),
         (("photo.exr", "--screen", "film"), "allowed are srgb and pq"),
         (("photo.exr", "--fix", "SKY_OZONE=1"), "give one of AA_"),
         (("photo.exr", "--solver", "magic"), "does not exist"),

@@ -24,7 +24,9 @@ def test_haloes_are_what_leaves_the_range_near_a_pixel():
 def test_the_exhaustive_search_finds_the_strength_that_made_the_truth():
     frames = torch.rand(1, 2, 40, 40, 3, generator=torch.Generator().manual_seed(0), dtype=torch.float64)
     truth = sharpening.resolved(frames, 0.125, 0.0)
-    found = sharpening.exhausted(Views(frames, truth, truth), ((0.3,), (0.5,), (0.0, 2.0)))
+    found = sharpening.exhausted(
+        Views(frames, truth, truth, torch.zeros_like(truth[..., :2])), ((0.3,), (0.5,), (0.0, 2.0))
+    )
     assert found > 150.0
 
 
