@@ -130,6 +130,28 @@ def test_jacobian_matches_finite_differences_in_every_element_and_parameter(effe
     torch.testing.assert_close(reverse, forward, rtol=1e-9, atol=1e-12)
 
 
+@pytest.mark.parametrize(("effect", "rung"), RUNGS)
+def test_forward_mode_holds_in_float32(effect, rung):
+    # From records: torch's forward mode gives numbers on their way from the cube, which have no axis, double tangents.
+    point = start(effect)
+    made = functools.partial(record_at, effect)
+    at, towards = torch.func.jvp(made, (point,), (torch.cos(torch.arange(len(point), dtype=point.dtype)),))
+
+    def along(dtype):
+        record, direction, seen = pytree.tree_map_only(
+            torch.Tensor, lambda t: t.to(dtype) if t.is_floating_point() else t, (at, towards, inputs_of(effect, dtype))
+        )
+        many = pytree.tree_map(lambda one: one[None], direction)
+
+        def draw(record):
+            return EFFECTS[effect].rungs[rung](record, seen) / brightest(effect)
+
+        return torch.func.vmap(lambda one: torch.func.jvp(draw, (record,), (one,))[1])(many)
+
+    single, double = along(torch.float32), along(torch.float64)
+    torch.testing.assert_close(single.double(), double, rtol=1e-3, atol=1e-3 * float(double.abs().max()) + 1e-6)
+
+
 @pytest.mark.parametrize("effect", EFFECTS)
 def test_last_rung_reaches_the_reference_within_a_tolerance_that_is_not_slack(effect):
     values = defaults(EFFECTS[effect].parameters, torch.float64)

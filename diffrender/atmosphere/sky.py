@@ -179,8 +179,9 @@ def prepare_two_weathers(sky: Sky, view: SkyView) -> TabledView:
     weathers = [replace(sky, mie_scale=torch.full_like(sky.mie_scale, haze)) for haze in (CLEAR, HAZY)]
     amounts = torch.stack([stored_tables.amount(medium(one)) for one in weathers])
     clear, hazy = (tables(one, fixed) for one in weathers)
-    share = torch.clamp((sky.mie_scale - CLEAR) / (HAZY - CLEAR), 0.0, 1.0)
-    return TabledView(view, stored_tables.sky_blended(clear, hazy, amounts, share))
+    # With an axis: torch's forward mode gives a tensor without one a tangent in double precision, whatever its own is.
+    share = torch.clamp((sky.mie_scale[None] - CLEAR) / (HAZY - CLEAR), 0.0, 1.0)
+    return TabledView(view, stored_tables.sky_blended(clear, hazy, amounts, share[0]))
 
 
 def prepare(sky: Sky, view: SkyView) -> TabledView:
