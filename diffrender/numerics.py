@@ -6,6 +6,13 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+# Of tanh(h) / h in h². Differences of exponentials over a depth x are their sum times it at h = x / 2: an even series,
+# half as long as that of exp() itself, and right on both sides of 0.
+_TANH = (1.0, -1.0 / 3.0, 2.0 / 15.0, -17.0 / 315.0, 62.0 / 2835.0, -1382.0 / 155925.0, 21844.0 / 6081075.0,
+         -929569.0 / 638512875.0)  # fmt: skip
+_NEAR = 1.0 / 8.0  # h below which the series is used: depths below 1/4
+_FLAT = 1e-11  # rate whose depth is below 1/4 over any length up to 10^10
+
 
 def mean_decay(depth: Float[Tensor, "*batch"]) -> Float[Tensor, "*batch"]:
     """Mean of exp(-x) for x from 0 to a depth: (1 - exp(-depth)) / depth, in (0, 1] for depths from 0 up.
@@ -16,36 +23,44 @@ def mean_decay(depth: Float[Tensor, "*batch"]) -> Float[Tensor, "*batch"]:
     >>> mean_decay(torch.tensor([0.0, 1e-6, 100.0]))
     tensor([1.0000, 1.0000, 0.0100])
     """
-    small = depth.abs() < 0.25
-    near = torch.where(small, depth, torch.zeros_like(depth))
-    far = torch.where(small, torch.ones_like(depth), depth)
-    return torch.where(small, _mean_decay_near(near), (1.0 - torch.exp(-far)) / far)
-
-
-def _mean_decay_near(depth: Tensor) -> Tensor:
-    """Power series of `mean_decay` up to 1/4, to the order that value and slope need in the given precision."""
-    # Without divisions, which cost compiled code as much as exp() does.
-    last = 7 if depth.dtype == torch.float32 else 11
-    series = torch.full_like(depth, 1.0 / math.factorial(last))
-    for order in range(last - 1, 0, -1):
-        series = series * depth + (-1.0) ** (order - 1) / math.factorial(order)
-    return series
+    return decayed_length(torch.ones_like(depth), depth)
 
 
 def decayed_length(length: Float[Tensor, "*#batch"], rate: Float[Tensor, "*batch"]) -> Float[Tensor, "*batch"]:
-    """Integral of exp(-rate x) for x from 0 to a length, both from 0 up: (1 - exp(-length rate)) / rate.
+    """Integral of exp(-rate x) for x from 0 to a length from 0 up: (1 - exp(-length rate)) / rate.
 
-    length - rate length²/2 near rate 0, value and gradient; 1/rate far out. Never more than either, so that its
-    derivatives do not overflow, as those of length × mean_decay(length × rate) do for huge lengths.
+    length - rate length²/2 near rate 0, value and gradient; 1/rate far out. From rate 0 up never more than either, so
+    that its derivatives do not overflow, as those of length × mean_decay(length × rate) do for huge lengths.
 
     >>> decayed_length(torch.tensor([3.0, 3.0, 1e9]), torch.tensor([0.0, 1e-6, 0.01]))
     tensor([  3.0000,   3.0000, 100.0000])
     """
     depth = length * rate
-    small = depth < 0.25
-    near = torch.where(small, depth, torch.zeros_like(depth))
-    far = torch.where(small, torch.ones_like(rate), rate)
-    return torch.where(small, length * _mean_decay_near(near), (1.0 - torch.exp(-depth)) / far)
+    return decayed_between(torch.zeros_like(depth), depth, length, rate)
+
+
+def decayed_between(
+    start: Float[Tensor, "*#batch"],
+    end: Float[Tensor, "*#batch"],
+    length: Float[Tensor, "*#batch"],
+    rate: Float[Tensor, "*#batch"],
+) -> Float[Tensor, "*batch"]:
+    """Integral of exp(-(start + rate x)) for x from 0 to a length, the exponent's end = start + rate length given too.
+
+    Where the ends are nearly equal, exp(-start) × length, value and gradient. One exp() an end: where many lengths
+    share a start, half of what exp(-start) × decayed_length takes.
+
+    >>> decayed_between(*torch.tensor([[1.0, 1.0], [1.0, 3.0], [3.0, 2.0], [0.0, 1.0]]))
+    tensor([1.1036, 0.3181])
+    """
+    from_start, from_end = torch.exp(-start), torch.exp(-end)
+    half = 0.5 * length * rate
+    # Lengths first: no factor is infinite where the product is, and its share of a gradient that is not taken is 0.
+    near = 0.5 * length * _tanh_ratio(half) * (from_start + from_end)
+    # Of the rate alone, so that lengths that share one share its division.
+    inverse = 1.0 / torch.where(rate.abs() < _FLAT, torch.ones_like(rate), rate)
+    far = (from_start - from_end) * inverse
+    return torch.where(half.abs() < _NEAR, near, far)
 
 
 def opacity(depth: Float[Tensor, "*batch"]) -> Float[Tensor, "*batch"]:
@@ -57,9 +72,21 @@ def opacity(depth: Float[Tensor, "*batch"]) -> Float[Tensor, "*batch"]:
     >>> opacity(torch.tensor([0.0, 1e-9, 100.0]))
     tensor([0.0000e+00, 1.0000e-09, 1.0000e+00])
     """
-    near = torch.clamp(depth, max=0.25)
     # The difference has no pole to hide from the unused branch, and shares its exp() with the transmittance.
-    return torch.where(depth < 0.25, near * _mean_decay_near(near), 1.0 - torch.exp(-depth))
+    passed, half = torch.exp(-depth), 0.5 * depth
+    return torch.where(half < _NEAR, half * (1.0 + passed) * _tanh_ratio(half), 1.0 - passed)
+
+
+def _tanh_ratio(half: Tensor) -> Tensor:
+    """tanh(h) / h for h up to 1/8 to both sides, beyond as there, to the order that value and slope need."""
+    near = torch.clamp(half, -_NEAR, _NEAR)
+    square = near * near
+    # Without divisions, which cost compiled code as much as exp() does.
+    *lower, last = _TANH[:4] if half.dtype == torch.float32 else _TANH
+    series = torch.full_like(square, last)
+    for coefficient in reversed(lower):
+        series = series * square + coefficient
+    return series
 
 
 def erfcx(x: Float[Tensor, "*batch"]) -> Float[Tensor, "*batch"]:

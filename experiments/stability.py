@@ -62,8 +62,8 @@ class Beyond:
     place: tuple[int, ...]
     name: str  # of the parameter, where it is a derivative
     float64: float
-    float32: float
-    error: float
+    float32: float | None  # None where it is not finite
+    error: float | None  # None where float32 is not finite
     moved: float  # float64 by rounding its inputs, likewise relative
     cause: str
 
@@ -134,11 +134,12 @@ def _forward(rung: Rung, parameters: Any, tangents: Any, seen: Any) -> dict[str,
 
 
 def _moved(tensor: Any, generator: torch.Generator) -> Any:
-    """A tensor with every number half a step of float32 up or down."""
+    """A tensor with every number half a step of float32 up or down; 0 by that of the tensor's largest."""
     if not (isinstance(tensor, Tensor) and tensor.is_floating_point()):
         return tensor
     signs = 2 * torch.randint(0, 2, tensor.shape, generator=generator) - 1
-    return tensor * (1.0 + signs * 2.0**-24)
+    finite = tensor.nan_to_num(posinf=0.0, neginf=0.0)
+    return tensor + signs * torch.where(tensor == 0.0, finite.abs().amax(), finite) * 2.0**-24
 
 
 def _gradient(rung: Rung, parameters: Any, inputs: Any) -> tuple[Tensor, ...]:
@@ -231,7 +232,7 @@ def swept(name: str, effect: Effect, rung: str, size: Size) -> Swept:
                 ulps.setdefault(kind, []).append(_ulps(one, scale[kind][part])[counts])
         beyond += _beyond(case, effect, effect.rungs[rung], truth, single)
     followed = tuple(_followed(kind, torch.cat(errors[kind]), torch.cat(ulps[kind])) for kind in errors)
-    beyond.sort(key=lambda one: -one.error)
+    beyond.sort(key=lambda one: -math.inf if one.error is None else -one.error)
     return Swept(name, rung, count, followed, tuple(beyond))
 
 
@@ -277,13 +278,17 @@ def _beyond(case: Case, effect: Effect, rung: Rung, truth: Numbers, single: Numb
                         name=labels.get(kind, [f"tensor {part}"] * (part + 1))[part],
                         place=at,
                         float64=float(truth[kind][part][at]),
-                        float32=float(single[kind][part][at]),
-                        error=off,
+                        float32=_finite(single[kind][part][at]),
+                        error=off if math.isfinite(off) else None,
                         moved=by_rounding,
                         cause=INPUTS if off <= LIKE_ROUNDING * by_rounding else ARITHMETIC,
                     )
                 )
     return found
+
+
+def _finite(number: Tensor) -> float | None:
+    return float(number) if number.isfinite() else None
 
 
 def table(found: Sequence[Swept]) -> str:

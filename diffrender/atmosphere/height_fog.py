@@ -26,13 +26,13 @@ from torch import Tensor
 from diffrender.atmosphere import height_fog_reference, scattering
 from diffrender.atmosphere.scattering import PLANET_RADIUS
 from diffrender.effect import Effect, Rung
-from diffrender.numerics import decayed_length, opacity, safe_sqrt
+from diffrender.numerics import decayed_between, opacity, safe_sqrt
 from diffrender.parameters import parameter, record
 from diffrender.rays import Rays, from_angles
 
 FARTHEST = 1e9  # length of rays into the sky, which may be given as infinite [m]
 OPAQUE = 1e4  # optical depth from which on nothing is seen, neither in float32 nor in float64
-_DENSEST = 88.0  # e-folds above the density at the base height: beyond, float32 ends
+_DENSEST = 82.0  # e-folds above the density at the base height: beyond, products of gradients end in float32
 _DEEPEST = 60.0  # e-folds by which a sun's ray dips below its end: beyond, fog that is not black is not there
 _LOWEST_SUN = 1e-3  # cosine to the zenith at which the flat earth's sun stays when it sets
 
@@ -119,7 +119,8 @@ class Through:
     up: Float[Tensor, "*batch"]  # climb per length
     eye: Float[Tensor, "*#batch"]  # density at the eye over that at the base height
     end: Float[Tensor, "*batch"]  # and at the far end
-    path: Float[Tensor, "*batch"]  # length in fog as dense as at the lower end [m]
+    mean: Float[Tensor, "*batch"]  # over the ray
+    length: Float[Tensor, "*batch"]  # [m]
 
 
 def _compose(
@@ -129,7 +130,7 @@ def _compose(
     molecules, droplets = _phases(fog, view)
 
     def draw(extinction: Tensor, background: Tensor, share: Tensor, sun: Tensor, sky: Tensor) -> Tensor:
-        depth = torch.clamp(_depth(through, extinction), max=OPAQUE)
+        depth = _depth(through, extinction)
         sunlit = sun_share(through, extinction * fog.scale_height, depth)
         sunlight = sun * (droplets + share * (molecules - droplets)) * sunlit
         return background * torch.exp(-depth) + sunlight + sky * opacity(depth)
@@ -166,32 +167,28 @@ def extinction(fog: HeightFog) -> Float[Tensor, "3"]:
 def optical_depth(fog: HeightFog, rays: Rays) -> Float[Tensor, "*batch 3"]:
     """Optical depth of the fog along rays, by channel; at most 3e38.
 
-    extinction × (density at the lower end) × decayed_length(length, steepness / scale height). A level ray is no
-    special case, nor is one to infinity unless it is level, which counts as 10^9 m long. Fog more than 88 scale heights
-    below its base height is as dense as there. In float32 its gradients end where it exceeds 1e25.
+    extinction × length × mean density, by decayed_between(density's exponent at the eye and at the end). A level ray is
+    no special case, nor is one to infinity unless it is level, which counts as 10^9 m long. An eye more than 82 scale
+    heights below the base height is taken to be there. In float32 its gradients end where it exceeds 1e25.
     """
-    return _by_channel(partial(_depth, _through(fog, rays)), extinction(fog))
+    return _by_channel(partial(_depth, _through(fog, rays), most=3e38), extinction(fog))
 
 
 def _through(fog: HeightFog, rays: Rays) -> Through:
+    per_height = 1.0 / fog.scale_height
     up = rays.direction[..., 2]
     length = torch.clamp(rays.length, max=FARTHEST)
-    altitude = rays.origin[..., 2] - fog.base_height
-    # One sign decides for the slope here and for the density it starts from: abs() and minimum() would each give a
-    # nearly level ray a gradient of its own, half or twice the right one.
-    steepness = torch.where(up < 0.0, -up, up)
-    path = decayed_length(length, steepness / fog.scale_height)
-    return Through(up, _density(fog, altitude), _density(fog, altitude + up * length), path)
+    eye = torch.clamp((rays.origin[..., 2] - fog.base_height) * per_height, min=-_DENSEST)
+    climb = up * per_height * length
+    # So much denser than the eye an end is opaque; both ends at one limit would be no fog at all.
+    end = torch.clamp(eye + climb, min=-_DENSEST - 4.0)
+    mean = decayed_between(eye, end, torch.ones_like(climb), climb)
+    return Through(up, torch.exp(-eye), torch.exp(-end), mean, length)
 
 
-def _density(fog: HeightFog, altitude: Tensor) -> Tensor:
-    return torch.exp(torch.clamp(-altitude / fog.scale_height, max=_DENSEST))
-
-
-def _depth(through: Through, extinction: Tensor) -> Tensor:
-    densest = torch.where(through.up < 0.0, through.end, through.eye)
-    # Extinction first: a path in the densest fog overflows where its optical depth does not.
-    return torch.clamp(extinction * through.path * densest, max=3e38)
+def _depth(through: Through, extinction: Tensor, most: float = OPAQUE) -> Tensor:
+    # The densest fog last: with it, the length alone may overflow where the optical depth does not.
+    return torch.clamp(extinction * through.length * through.mean, max=most)
 
 
 def sun_share(fog: HeightFog, rays: Rays, mass: Float[Tensor, "*#batch"]) -> Float[Tensor, "*batch 3"]:
@@ -205,7 +202,7 @@ def sun_share(fog: HeightFog, rays: Rays, mass: Float[Tensor, "*#batch"]) -> Flo
 
     def share(extinction: Tensor) -> Tensor:
         # Capped where it no longer changes what is seen, so that huge depths have no gradient.
-        depth = torch.clamp(_depth(through, extinction), max=OPAQUE)
+        depth = _depth(through, extinction)
         return _sun_share(through, extinction * fog.scale_height, depth, mass)
 
     return _by_channel(share, extinction(fog))
@@ -215,11 +212,8 @@ def _sun_share(through: Through, zenith: Tensor, depth: Tensor, mass: Tensor) ->
     """`sun_share` of one channel, whose optical depth from the base height to the zenith is given."""
     at_eye = torch.clamp(zenith * mass * through.eye, max=OPAQUE)
     at_end = depth + torch.clamp(zenith * mass * through.end, max=OPAQUE)
-    # Growth of the whole path's depth, ray and sun, per depth of the ray: it may shrink along a ray that climbs.
-    growth = 1.0 - through.up * mass
-    shrinks = growth < 0.0
-    least = torch.where(shrinks, at_end, at_eye)
-    return torch.exp(-least) * decayed_length(depth, torch.where(shrinks, -growth, growth))
+    # The growth of the whole path's depth, ray and sun, per depth of the ray is negative where a ray climbs steeply.
+    return decayed_between(at_eye, at_end, depth, 1.0 - through.up * mass)
 
 
 def flat_air_mass(to_sun: Float[Tensor, "3"]) -> Float[Tensor, ""]:

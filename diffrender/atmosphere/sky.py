@@ -42,7 +42,9 @@ __all__ = ["EFFECT", "Geometry", "Size", "Sky", "SkyTables", "SkyView", "TabledV
 __all__ += ["overcast_share", "prepare", "quadrature", "render", "render_tables", "tables"]
 
 _MARCH = 48  # steps of a ray
-CLEAR, HAZY = 0.01, 10.0  # haze of the two weather types of "two weathers", in units of a clear day's
+# Haze of the two weather types of "two weathers", in units of a clear day's: below what may be asked for, where the
+# slope would hang on rounding, and above what blends well.
+CLEAR, HAZY = 0.009, 10.0
 WEATHER_SIZE = Size(rows=16, columns=6, steps=12, heights=5, suns=8, steps_around=5)  # of their tables
 _HAZE_ALBEDO = 0.9  # share of the haze's extinction that is scattering, Bruneton and Neyret 2008
 
