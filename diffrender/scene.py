@@ -116,7 +116,7 @@ def skylight(scene: Scene) -> Float[Tensor, "3"]:
     height = (torch.arange(_SKYLIGHT_ROWS) + 0.5).to(scene.sun.irradiance) / _SKYLIGHT_ROWS
     turn = torch.arange(2 * _SKYLIGHT_ROWS).to(height) * (math.pi / _SKYLIGHT_ROWS)
     # Rows of equal height hold equal solid angles.
-    directions = from_angles(torch.asin(height)[:, None], turn)
+    directions = from_angles(*torch.meshgrid(torch.asin(height), turn, indexing="ij"))
     return EFFECTS["sky"].rungs["tables"](scene.sky, sky_view(scene, directions)).mean((0, 1))
 
 

@@ -146,7 +146,7 @@ def fog(
     """
     with _progress("starting", quiet):
         from fit import fog as fog_fit
-        from fit import fog_picture, options, results
+        from fit import fog_picture, hidden_sun, options, results
         from fit import photo as photos
         from fit import sky as sky_fit
         from fit import sun as sun_place
@@ -160,7 +160,11 @@ def fog(
         seen = photos.read(photo, projection, fov, pitch)
         place = place or shot.sun_by(seen.header)
         if with_sky:
-            above = sky_fit.fit(seen, sky_fit.Options(sun=place, start=begun, solver=solver, seed=seed))
+            # What the header tells of the sun holds for the sky too, which searches the rest; else it searches all.
+            begins, guessed = fog_fit.sun_of(seen, place)
+            told, searched = (None, ()) if guessed == hidden_sun.NAMES else (begins, guessed)
+            asked_above = sky_fit.Options(sun=told, free=searched, start=begun, solver=solver, seed=seed)
+            above = sky_fit.fit(seen, asked_above)
             begun, place = above.scene, above.sun
         asked = fog_fit.Options(
             distance=distance,

@@ -20,7 +20,7 @@ import torch
 
 from diffrender.atmosphere.celestial import Sun
 from diffrender.atmosphere.height_fog import HeightFog
-from diffrender.parameters import defaults
+from diffrender.parameters import defaults, specifications
 from diffrender.scene import Exposure, Scene, places, skylight, weather_names
 from fit import account, foggy_photo, hidden_sun, keyframes, residual_covariance, sun
 from fit import photo as photos
@@ -37,7 +37,7 @@ from fit.solvers import solver
 from fit.uncertainty import Evidence, Uncertainty, uncertainty
 from fit.weather_file import check
 
-__all__ = ["Fogged", "Options", "fit", "solve"]
+__all__ = ["Fogged", "Options", "fit", "solve", "sun_of"]
 
 PIXELS = 4000  # that a fit looks at
 COARSE_PIXELS = 500  # at which starts are compared
@@ -91,7 +91,7 @@ def solve(photo: Photo, options: Options) -> Fogged:
     """
     began = time.monotonic()
     minimise = solver(options.solver)
-    place, guessed = _sun(photo, options)
+    place, guessed = sun_of(photo, options.sun)
     home = _home(options, place)
     seen = foggy_photo.seen(photo, options, home)
     read = time.monotonic()
@@ -145,13 +145,13 @@ def solve(photo: Photo, options: Options) -> Fogged:
 # What is searched
 
 
-def _sun(photo: Photo, options: Options) -> tuple[SunPlace, tuple[str, ...]]:
-    """Where the sun stands, and which names of that are a guess and searched.
+def sun_of(photo: Photo, given: SunPlace | None) -> tuple[SunPlace, tuple[str, ...]]:
+    """Where the sun of a photo stands, and which names of that are a guess and to be searched.
 
     A photo's header may tell its height by place and time, but not where the picture looks.
     """
-    if options.sun is not None:
-        return sun.checked(photo, options.sun), ()
+    if given is not None:
+        return sun.checked(photo, given), ()
     found = sun.find(photo)
     if found.visible:
         return found, ()
@@ -231,6 +231,9 @@ def _lit(home: Scene, scene: Scene, lights: Lights) -> Scene:
     """Scene whose sun and sky light the fog as strongly as was found.
 
     Where no weather file tells how bright the sun is, the sun takes its strength; else the fog's tints do.
+
+    Raises:
+        InputError: when no tint makes the given sky so bright.
     """
     assert scene.height_fog is not None
     fog = scene.height_fog
@@ -243,7 +246,15 @@ def _lit(home: Scene, scene: Scene, lights: Lights) -> Scene:
         fog = replace(fog, sun_tint=of_sun / irradiance)
     else:
         fog = replace(fog, sun_tint=of_sun / (scene.exposure.exposure * scene.sun.irradiance))
-    return replace(scene, height_fog=replace(fog, ambient_tint=of_sky / skylight(scene)))
+    fog = replace(fog, ambient_tint=of_sky / skylight(scene))
+    needed = float(torch.cat([fog.sun_tint, fog.ambient_tint]).max())
+    most = specifications(HeightFog)["sun_tint"].bounds[1]
+    if needed > most:
+        raise InputError(
+            f"the photo's fog is lit {needed:.3g} times as strongly as the given sky lights it, of {most:g} allowed; "
+            "the weather file's EXPOSURE may be another photo's: give --with-sky, or no sky at all"
+        )
+    return replace(scene, height_fog=fog)
 
 
 def _unsearched(name: str, options: Options, left_out: Mapping[str, str], place: SunPlace) -> str:

@@ -26,6 +26,7 @@ IN_FOG = 3  # lights that shine on the fog itself
 # scatters forward shows what lies ahead; with one even light for both, densities of five path-traced scenes with light
 # scattered many times were off by 16 % in the median, with two by 5 %.
 TURN = 3.2
+TOO_BRIGHT = 1.0  # weight of a light that is stronger than its greatest, for each time it is
 TOO_DARK = 2.0  # how much more a pixel darker than the fog in front of it counts, where surfaces are not known
 
 
@@ -75,7 +76,8 @@ class Lights:
 class FogObjective:
     """Residuals over a sample of pixels.
 
-    The scale is what differences are relative to: about the photo's own radiance, its noise smoothed.
+    The scale is what differences are relative to: about the photo's own radiance, its noise smoothed. Greatest are the
+    strengths of sun and sky that a known sky allows: thin fog in a strong light looks like dense fog in a weak one.
 
     A point is that of the search space and, where the picture without fog is known, one coordinate more: how the light
     on surfaces changes for each share of sunlight that the fog takes, from -1 (all their light is the sun's) to 1 (the
@@ -85,6 +87,7 @@ class FogObjective:
     space: SearchSpace
     pixels: FogPixels
     scale: Float[Tensor, "n 3"]
+    greatest: Float[Tensor, "2 3"] | None = None
 
     @property
     def extra(self) -> int:
@@ -101,7 +104,11 @@ class FogObjective:
         robust = difference * torch.sqrt(2.0 / (1.0 + torch.sqrt(1.0 + (difference / ROBUST_WIDTH).square())))
         begun = torch.from_numpy(self.space.point(self.space.start)).to(point)
         away = point - torch.cat([begun, begun.new_full((self.extra,), 0.5)])
-        return torch.cat([robust.flatten() / difference.numel() ** 0.5, PRIOR_WEIGHT * away])
+        parts = [robust.flatten() / difference.numel() ** 0.5, PRIOR_WEIGHT * away]
+        if self.greatest is not None:
+            strength = torch.stack([lights.strength[0], lights.ambient()])
+            parts.append(TOO_BRIGHT * torch.relu(strength / self.greatest - 1.0).flatten())
+        return torch.cat(parts)
 
     def jacobian(self, point: Float[Tensor, " n"]) -> tuple[Float[Tensor, " m"], Float[Tensor, "m n"]]:
         """Residuals and their exact derivatives by each coordinate, in forward mode."""

@@ -10,8 +10,10 @@ from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from diffrender.atmosphere import sky
+from diffrender.atmosphere.height_fog import HeightFog
+from diffrender.parameters import specifications
 from diffrender.rays import Rays, pixel_centres
-from diffrender.scene import Scene, sky_view
+from diffrender.scene import Scene, sky_view, skylight
 from fit import asked, distance, sky_mask, sun
 from fit import photo as photos
 from fit.exr import bands
@@ -76,7 +78,16 @@ class FoggyPhoto:
         drawn = np.random.default_rng(seed).random(len(stretches)) * (len(line) / len(stretches))
         chosen = np.minimum((stretches + drawn).astype(int), len(line) - 1)
         line, column = line[chosen], column[chosen]
-        return FogObjective(space, self.at(line, column), self._smoothed(line, column))
+        return FogObjective(space, self.at(line, column), self._smoothed(line, column), self._greatest_lights())
+
+    def _greatest_lights(self) -> Float[Tensor, "2 3"] | None:
+        """Of sun and sky, what the fog's tints can make of those of a known sky, with room for its own error."""
+        if self.home.sky is None:
+            return None
+        fog, given = self.home.height_fog, self.home.exposure.exposure * self.home.sun.irradiance
+        assert fog is not None  # a fog fit's scene has one
+        tint = 0.5 * specifications(HeightFog)["sun_tint"].bounds[1]
+        return tint * fog.albedo * torch.stack([given, skylight(self.home)])
 
     def at(self, line: Int[np.ndarray, " n"], column: Int[np.ndarray, " n"]) -> FogPixels:
         """What is known of some pixels."""

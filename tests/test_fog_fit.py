@@ -8,7 +8,7 @@ from exr_files import save
 from foggy_picture import CAMERA, EYE, FOG, SUN, TRUTH, drawn, photo
 
 from diffrender.parameters import defaults
-from diffrender.scene import Exposure, Scene
+from diffrender.scene import Exposure, Scene, skylight
 from fit import __main__ as command
 from fit import fog, fog_picture, foggy_photo, keyframes, weather_file
 from fit.foggy_photo import Options
@@ -195,6 +195,49 @@ def test_a_start_keeps_what_is_not_searched(files):
     kept = found.parameters["HEIGHT_FOG_ALBEDO_R"]
     assert (kept.value, kept.why) == (pytest.approx(0.8), "kept")
     assert found.parameters["HEIGHT_FOG_SCALE_HEIGHT"].value == pytest.approx(TRUTH["HEIGHT_FOG_SCALE_HEIGHT"])
+
+
+UNDER_A_SKY = {"SKY_HAZINESS": 0.7, "SKY_MIE_SCALE": 2.0, "EXPOSURE": 1.0}
+
+
+@pytest.mark.slow
+def test_fog_under_a_known_sky_takes_its_light(files):
+    seen, _, distance = drawn()
+    begun = keyframes.scene(UNDER_A_SKY, torch.float64)
+    found = fog.solve(photo(seen, distance), replace(GIVEN, clear=files / "clear.exr", start=begun))
+    scene = found.solution.scene
+    given = scene.height_fog.ambient_tint * skylight(scene)
+    wanted = found.objective.lights(torch.from_numpy(found.solution.minimum.point)).ambient() / scene.height_fog.albedo
+    torch.testing.assert_close(given, wanted)
+    assert found.solution.parameters["SKY_HAZINESS"].value == pytest.approx(0.7)
+    assert found.solution.parameters["HEIGHT_FOG_EXTINCTION"].value == pytest.approx(2e-3, rel=0.05)
+
+
+@pytest.mark.slow
+def test_a_sky_that_is_far_too_dark_is_refused(files):
+    seen, _, distance = drawn()
+    begun = keyframes.scene(UNDER_A_SKY | {"EXPOSURE": 0.01}, torch.float64)
+    with pytest.raises(InputError, match="times as strongly as the given sky lights it, of 16 allowed; the weather"):
+        fog.solve(photo(seen, distance), replace(GIVEN, clear=files / "clear.exr", start=begun))
+
+
+@pytest.mark.slow
+def test_where_fog_may_be_thin_or_dense_it_is_not_lit_more_strongly_than_tints_allow():
+    # Without distances its light and its density are seen as one.
+    seen, _, _ = drawn()
+    begun = keyframes.scene(UNDER_A_SKY | {"EXPOSURE": 3.0}, torch.float64)
+    found = fog.solve(photo(seen), replace(GIVEN, start=begun))
+    fitted = found.solution.scene.height_fog
+    assert 1.0 < float(torch.cat([fitted.sun_tint, fitted.ambient_tint]).max()) < 16.0
+
+
+@pytest.mark.slow
+def test_the_sky_of_a_photo_whose_header_tells_its_place_has_that_sun_s_height():
+    header = {"time": datetime(2002, 6, 23, 23, tzinfo=UTC), "latitude": 37.9, "longitude": -122.6, "altitude": None}
+    place, searched = fog.sun_of(replace(photo(drawn()[0]), header=header), None)
+    assert searched == ("SUN_AZIMUTH",)
+    assert place.elevation == pytest.approx(52.0, abs=2.0)
+    assert fog.sun_of(photo(drawn()[0]), SUN) == (SUN, ())
 
 
 @pytest.mark.slow

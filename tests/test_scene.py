@@ -8,7 +8,7 @@ from synthetic_sky import HAZY_MORNING
 from diffrender.atmosphere.celestial import to_sun
 from diffrender.catalogue import EFFECTS
 from diffrender.rays import Equirectangular, pixel_centres
-from diffrender.scene import finest, prune, render, sunlight
+from diffrender.scene import finest, prune, render, skylight, sunlight
 from fit import keyframes
 
 CAMERA = Equirectangular(24, 6, lowest=0.0)
@@ -156,3 +156,18 @@ def test_air_takes_blue_light_as_rayleigh_s_law_says():
     depth = -torch.log(sunlight(clean))
     assert 0.03 < float(depth[0]) < float(depth[1]) < float(depth[2]) < 0.35
     assert float(depth[2] / depth[0]) == pytest.approx((680.0 / 440.0) ** 4, rel=0.1)
+
+
+# skylight
+
+
+def test_skylight_is_the_mean_over_the_hemisphere():
+    wide = Equirectangular(128, 32, lowest=0.0)
+    direction = wide.direction(*pixel_centres(wide, slice(0, 32), torch.zeros(())))
+    weight = wide.solid_angle(*pixel_centres(wide, slice(0, 32), torch.zeros(())))[..., None]
+    drawn = render(SCENE, direction, {"sky": EFFECTS["sky"].rungs["tables"]})
+    torch.testing.assert_close(skylight(SCENE), (drawn * weight).sum((0, 1)) / weight.sum(), rtol=1e-2, atol=0.0)
+
+
+def test_skylight_without_a_sky_is_the_exposure():
+    assert torch.equal(skylight(replace(SCENE, sky=None)), SCENE.exposure.exposure * torch.ones(3))
