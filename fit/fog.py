@@ -28,7 +28,7 @@ from fit.fog_objective import FogObjective, Lights
 from fit.foggy_photo import FoggyPhoto, Options
 from fit.gauss_newton import half_square
 from fit.input_error import InputError
-from fit.minimum import INTERRUPTED, Budget, Point
+from fit.minimum import INTERRUPTED, Budget, Minimum, Point
 from fit.photo import Photo
 from fit.search_space import SearchSpace
 from fit.shot import Shot
@@ -39,8 +39,10 @@ from fit.weather_file import check
 
 __all__ = ["Fogged", "Options", "fit", "solve", "sun_of"]
 
-PIXELS = 4000  # that a fit looks at
 COARSE_PIXELS = 500  # at which starts are compared
+PIXELS = 4000  # of a search
+# At its end: 4000 give densities of path-traced fog an error of up to 3.4 % by their noise alone.
+FINE_PIXELS = 16_000
 STARTS = tuple(product((1e-4, 1e-3, 1e-2), (15.0, 60.0, 240.0)))  # extinction [1/m] and scale height [m]
 # Variance of what is wider than a pixel, over what the residuals show of it. It is light scattered twice and shadows in
 # the fog, which the model does not have and its parameters hide: five path-traced scenes ask for it.
@@ -98,7 +100,12 @@ def solve(photo: Photo, options: Options) -> Fogged:
     space = _space(options, home, (*(SEARCHED if seen.distance is not None else SEARCHED_IN_THE_SKY), *guessed))
     objective = seen.objective(space, PIXELS, options.seed)
     start = _start(seen.objective(space, COARSE_PIXELS, options.seed), options)
-    minimum = minimise(objective, start, Budget(seconds=options.seconds, seed=options.seed))
+
+    def search(objective: FogObjective, start: Point) -> Minimum:
+        left = None if options.seconds is None else max(options.seconds - (time.monotonic() - read), 0.0)
+        return minimise(objective, start, Budget(seconds=left, seed=options.seed))
+
+    minimum = search(objective, start)
     known = _known(objective, minimum.point)
     left_out = {name: why for name, why in zip((*space.free, SURFACES), known.why, strict=False) if why}
     pinned = [name for name in space.free if name in left_out and name not in (*options.free, DENSITY)]
@@ -108,8 +115,11 @@ def solve(photo: Photo, options: Options) -> Fogged:
         kept += list(range(len(space.free), len(minimum.point)))
         space = SearchSpace(home, tuple(name for name in space.free if name not in pinned))
         objective = replace(objective, space=space)
-        minimum = minimise(objective, minimum.point[kept], Budget(seconds=options.seconds, seed=options.seed))
-        known = _known(objective, minimum.point)
+        minimum = search(objective, minimum.point[kept])
+    if minimum.reason != INTERRUPTED:
+        objective = seen.objective(space, FINE_PIXELS, options.seed)
+        minimum = search(objective, minimum.point)
+    known = _known(objective, minimum.point)
     point = torch.from_numpy(minimum.point)
     lights = objective.lights(point)
     scene = _lit(home, space.scene(point[: len(space.free)]), lights)
