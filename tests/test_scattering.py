@@ -264,3 +264,25 @@ def test_paths_and_their_slopes_are_finite_in_every_corner(dtype):
     total = weights.sum() + through.sum() + sum(part.sum() for part in vars(along).values()) / TOP
     assert total.isfinite()
     assert all(slope.isfinite().all() for slope in torch.autograd.grad(total, leaves))
+
+
+@pytest.mark.parametrize("height", [0.0, 2.0, 8e3])
+def test_a_column_has_its_slope_where_the_sun_stands_exactly_level(height):
+    level = torch.zeros(1, dtype=torch.float64, requires_grad=True)
+    at = torch.full((1,), height, dtype=torch.float64)
+    (slope,) = torch.autograd.grad(scattering.column(at, level).sum(), level)
+    above, below = (scattering.column(at, torch.full_like(at, side)).sum() for side in (1e-6, -1e-6))
+    torch.testing.assert_close(slope[0], (above - below) / 2e-6, rtol=1e-4, atol=0.0)
+
+
+def test_a_ray_has_the_slope_of_its_length_where_it_is_exactly_level():
+    def length(cos_view):
+        at = torch.full_like(cos_view, 2e3)
+        return scattering.paths(
+            at, cos_view, torch.full_like(cos_view, 0.5), torch.full_like(cos_view, 0.5), 4
+        ).step.sum()
+
+    level = torch.zeros(1, dtype=torch.float64, requires_grad=True)
+    (slope,) = torch.autograd.grad(length(level), level)
+    above, below = (length(torch.full((1,), side, dtype=torch.float64)) for side in (1e-6, -1e-6))
+    torch.testing.assert_close(slope[0], (above - below) / 2e-6, rtol=1e-4, atol=0.0)

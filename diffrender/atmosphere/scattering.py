@@ -103,7 +103,8 @@ def column(height: Float[Tensor, "*batch"], cosine: Float[Tensor, "*batch"]) -> 
     dip = height - radius * cosine * cosine / (1.0 + sine)
     lowest = torch.where(falls, torch.clamp(dip, min=-10e3), height)
     level = torch.zeros_like(cosine)
-    up = _column_up(height, cosine.abs())
+    # One sign decides here as above: abs() has no slope at a sun that stands exactly level, where the column has one.
+    up = _column_up(height, torch.where(falls, -cosine, cosine))
     return torch.where(falls[..., None], 2.0 * _column_up(lowest, level) - up, up)
 
 
@@ -255,12 +256,14 @@ def _length(height: Tensor, cos_view: Tensor) -> tuple[Tensor, Tensor]:
     reach = climb * climb - below
     lands = (reach > 0.0) & (cos_view < 0.0)
     # The millimetre keeps 0/0 from a level ray that starts on the ground.
-    to_ground = below / (safe_sqrt(reach) + climb.abs() + 1e-3)
+    rises = cos_view > 0.0
+    steep = torch.where(rises, climb, -climb)
+    to_ground = below / (safe_sqrt(reach) + steep + 1e-3)
     # The square metre keeps 0/0 from a level ray that starts where the air ends.
     above = torch.clamp((TOP - height) * (2.0 * PLANET_RADIUS + TOP + height), min=1.0)
-    reach_up = torch.sqrt(climb * climb + above) + climb.abs()
+    reach_up = torch.sqrt(climb * climb + above) + steep
     # The two roots' product is `above`: neither side of the horizontal cancels.
-    to_space = torch.where(cos_view > 0.0, above / reach_up, reach_up)
+    to_space = torch.where(rises, above / reach_up, reach_up)
     return torch.where(lands, to_ground, to_space), lands
 
 
