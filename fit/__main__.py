@@ -121,7 +121,9 @@ def fog(
     distance_kind: Annotated[str, typer.Option(help="euclidean, along rays, or depth, along the axis.")] = "euclidean",
     clear: Annotated[Path | None, typer.Option(help="The same view without fog.")] = None,
     eye_height: Annotated[float, typer.Option(help="Altitude of the camera above the fog's altitude 0, m.")] = 2.0,
-    with_sky: Annotated[bool, typer.Option("--with-sky", help="Fit the sky of the photo first.")] = False,
+    with_sky: Annotated[
+        bool, typer.Option("--with-sky", help="Fit the sky of the photo first, in as many --seconds again.")
+    ] = False,
     out: Out = None,
     mask: Mask = None,
     sun: Sun = None,
@@ -156,6 +158,7 @@ def fog(
     shot = _shot(latitude, longitude, time, heading)
     place = sun_place.given(sun) if sun is not None else shot.sun()
     begun = options.first_scene(start) if start else None
+    above = None
     with _progress("reading and fitting", quiet):
         seen = photos.read(photo, projection, fov, pitch)
         place = place or shot.sun_by(seen.header)
@@ -163,7 +166,11 @@ def fog(
             # What the header tells of the sun holds for the sky too, which searches the rest; else it searches all.
             begins, guessed = fog_fit.sun_of(seen, place)
             told, searched = (None, ()) if guessed == hidden_sun.NAMES else (begins, guessed)
-            asked_above = sky_fit.Options(sun=told, free=searched, start=begun, solver=solver, seed=seed)
+            # Among distances white is not only sky.
+            of_sky = mask if distance is None else None
+            asked_above = sky_fit.Options(
+                mask=of_sky, sun=told, free=searched, start=begun, solver=solver, seconds=seconds, seed=seed
+            )
             above = sky_fit.fit(seen, asked_above)
             begun, place = above.scene, above.sun
         asked = fog_fit.Options(
@@ -181,6 +188,8 @@ def fog(
             seed=seed,
         )
         found = fog_fit.solve(seen, asked)
+        if above is not None:
+            found = found.under(above)
     with _progress("writing", quiet):
         results.write(folder, seen, found.solution, shot.completed(seen.header), partial(fog_picture.draw, found))
     return _ended(folder, found.solution, quiet)

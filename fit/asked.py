@@ -5,6 +5,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from diffrender.scene import Scene
+from fit.input_error import InputError
 from fit.solution import SunPlace
 
 
@@ -27,6 +28,16 @@ class Search:
     solver: str = "least-squares"
     seconds: float | None = None
     seed: int = 0
+
+    def __post_init__(self) -> None:
+        """Refuse what contradicts itself.
+
+        Raises:
+            InputError: for a name that is both held and searched.
+        """
+        for name in self.free:
+            if name in self.fixed:
+                raise InputError(f"--fix and --free both name {name}; leave it out of one of them")
 
 
 @dataclass(frozen=True)

@@ -84,6 +84,21 @@ class Fogged:
     seen: FoggyPhoto
     objective: FogObjective
 
+    def under(self, sky: Solution) -> "Fogged":
+        """The same with the account of the sky that was fitted to the photo first."""
+        minimum = sky.minimum
+        ended = (
+            f"mean square error of log radiance {sky.error:.4g}, {'converged' if minimum.converged else minimum.reason}"
+        )
+        own = self.solution
+        of_sky = {"kept", place.how} if (place := sky.sun) else {"kept"}
+        parameters = {
+            name: sky.parameters[name] if name in sky.parameters and found.why in of_sky else found
+            for name, found in own.parameters.items()
+        }
+        notes = (*own.notes, f"the sky was fitted first: {ended}")
+        return replace(self, solution=replace(own, parameters=parameters, notes=notes))
+
 
 def solve(photo: Photo, options: Options) -> Fogged:
     """Solution of a fit, and what it takes to draw it.

@@ -24,6 +24,7 @@ from fit.pixels import usable
 from fit.search_space import SearchSpace
 
 LEAST_PIXELS = 100
+LOWEST_EYE, HIGHEST_EYE = -1e4, 1e5  # altitudes of cameras [m]
 SMOOTHED = 2  # pixels to each side of one, whose mean tells how bright the photo is there
 FLOOR = 1e-2  # of the median radiance, which differences are relative to at least
 BAND_TOP = float(np.sin(np.radians(20.0)))  # of the sky that is looked at where no distances are known
@@ -44,6 +45,19 @@ class Options(asked.Options):
     distance_kind: str = "euclidean"
     clear: Path | None = None
     eye_height: float = 2.0
+
+    def __post_init__(self) -> None:
+        """Refuse an altitude that no camera has.
+
+        Raises:
+            InputError: when it is out of range, or a name is both held and searched.
+        """
+        super().__post_init__()
+        if not LOWEST_EYE <= self.eye_height <= HIGHEST_EYE:
+            raise InputError(
+                f"--eye-height {self.eye_height:g}; give metres above the fog's altitude 0, from {LOWEST_EYE:,.0f} to "
+                f"{HIGHEST_EYE:,.0f}"
+            )
 
 
 @dataclass(frozen=True, eq=False)

@@ -16,6 +16,7 @@ from fit.search_space import SearchSpace
 from fit.solution import Fitted, SunPlace
 
 NAMES = ("SUN_ELEVATION", "SUN_AZIMUTH")
+_WORDS = {"SUN_ELEVATION": "elevation", "SUN_AZIMUTH": "azimuth"}
 # From the brightest part of the sky. The sun of an overcast photo, searched freely, ends 40 degrees from it and below
 # the horizon, where it stands for the shape of the clouds.
 FARTHEST = math.radians(30.0)
@@ -55,7 +56,7 @@ def place(begun: SunPlace, parameters: Mapping[str, Fitted], free: tuple[str, ..
         begun,
         elevation=elevation.value,
         azimuth=azimuth.value,
-        how=f"searched, from where it was {begun.how}",
+        how=f"{' and '.join(_WORDS[name] for name in NAMES if name in free)} searched; before, {begun.how}",
         elevation_standard_error=elevation.standard_error,
         azimuth_standard_error=azimuth.standard_error,
     )

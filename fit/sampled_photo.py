@@ -73,10 +73,13 @@ class Sampling:
             raise InputError(f"--footprint {self.footprint:g}; give pixels from 0 (points) to 1 (mip-mapped textures)")
         if self.screen not in SCREENS:
             raise InputError(f"--screen {self.screen} is unknown; allowed are {' and '.join(SCREENS)}")
-        if not all(abs(way) <= FASTEST and way * self.factor == round(way * self.factor) for way in self.motion):
+        # Six digits of a third or a sixth of a pixel are meant to be it.
+        if not all(
+            abs(way) <= FASTEST and abs(way * self.factor - round(way * self.factor)) < 1e-3 for way in self.motion
+        ):
             across, down = self.motion
             raise InputError(
-                f"--motion {across:g},{down:g}; give pixels to the right and down, whole pixels of the photo "
+                f"--motion {across},{down}; give pixels to the right and down, whole pixels of the photo "
                 f"(multiples of 1/{self.factor}), up to {FASTEST:g}"
             )
 
@@ -266,7 +269,14 @@ def _corners(scene: Scenery) -> list[tuple[int, int]]:
     for top in rows:
         is_whole = _is_whole(scene.photo, slice(top * factor, (top + TILE) * factor))
         found += [(top, left) for left in columns if is_whole[:, left * factor : (left + TILE) * factor].all()]
-    return [corner for corner in found if _was_in_photo(scene, corner)]
+    inside = [corner for corner in found if _was_in_photo(scene, corner)]
+    if found and not inside:
+        across, down = scene.sampling.motion
+        raise InputError(
+            f"{scene.photo.path} does not show what its tiles showed a frame ago at --motion {across:g},{down:g}; give "
+            "a larger photo or a smaller --motion"
+        )
+    return inside
 
 
 def _was_in_photo(scene: Scenery, corner: tuple[int, int]) -> bool:

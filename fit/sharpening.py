@@ -200,8 +200,12 @@ def search(objective: SharpeningObjective, options: Options) -> Minimum:
         point = found
     if minimum.reason != INTERRUPTED:
         point = _home_again(objective, point, minimum.loss)
+    is_late = deadline is not None and time.monotonic() > deadline
     return replace(
         minimum,
+        # That the smooth part is settled says nothing of thresholds that there was no time to compare.
+        converged=minimum.converged and not is_late,
+        reason="seconds used up" if is_late and minimum.reason != INTERRUPTED else minimum.reason,
         point=point,
         loss=half_square(objective.residuals(torch.from_numpy(point))),
         history=tuple(history),

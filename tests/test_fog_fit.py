@@ -1,5 +1,7 @@
+import json
 from dataclasses import replace
 from datetime import UTC, datetime
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -280,6 +282,17 @@ def test_the_command_writes_a_report_and_both_pictures(run, files, tmp_path):
     assert "base height and extinction are seen as one density" in page
 
 
+@pytest.mark.slow
+def test_fog_under_a_fitted_sky_tells_of_both(run, tmp_path):
+    photo = Path(__file__).parent.parent / "experiments" / "photos" / "spruit_sunrise.exr"
+    status, out, err = run("fog", photo, "--with-sky", "--seconds", "20", "--out", tmp_path)
+    assert (status, err) == (command.FITTED, "")
+    assert "the sky was fitted first: mean square error of log radiance 0.005" in out
+    parameters = json.loads((tmp_path / "fit.json").read_text())["parameters"]
+    assert parameters["SKY_HAZINESS"]["why"] == "searched"
+    assert parameters["SKY_HAZINESS"]["standard_error"] > 0.0
+
+
 @pytest.fixture
 def inside(files, monkeypatch):
     """The same folder, as the one the command runs in."""
@@ -289,6 +302,7 @@ def inside(files, monkeypatch):
 
 AT = ("--fov", "60", "--sun", "20,40")
 BAD = {
+    "eye too high": (("--distance", "distance.exr", "--eye-height", "inf"), "--eye-height inf; give metres"),
     "distances missing": (("--distance", "missing.exr"), "missing.exr", "No such file"),
     "distances of another size": (("--distance", "short.exr"), "64 x 20", "64 x 40", "one for each pixel"),
     "no distance in the file": (("--distance", "far.exr"), "no distance between 0 and"),

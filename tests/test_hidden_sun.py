@@ -50,7 +50,7 @@ def test_a_sun_that_moved_says_whence_and_how_well():
     found = hidden_sun.place(BEGUN, parameters, hidden_sun.NAMES)
     assert (found.elevation, found.azimuth, found.visible) == (11.0, 33.0, False)
     assert (found.elevation_standard_error, found.azimuth_standard_error) == (0.5, 0.7)
-    assert found.how == "searched, from where it was no disc seen; brightest part of the sky taken"
+    assert found.how == "elevation and azimuth searched; before, no disc seen; brightest part of the sky taken"
 
 
 def test_a_sun_that_stayed_says_why():

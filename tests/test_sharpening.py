@@ -13,6 +13,7 @@ from diffrender.antialiasing.settings import AntiAliasing
 from diffrender.parameters import defaults
 from diffrender.rays import Equirectangular, Perspective
 from fit import keyframes, options, png, sampled_photo, sharpening, sharpening_pictures, weather_file
+from fit.input_error import InputError
 from fit.photo import Photo
 from fit.sampled_photo import MARGIN, TILE, Sampling, inner, scenery, tiles
 from fit.sharpening_objective import JUMPING, UNSMOOTHED, SharpeningObjective, drawn
@@ -235,6 +236,12 @@ def test_what_is_behind_the_disc_was_where_its_motion_says():
     assert torch.equal(still.truth[0, :8], views.truth[0, :8])
 
 
+def test_a_third_of_a_pixel_may_be_given_with_a_few_digits():
+    assert Sampling(6, motion=(0.3333, -1.66667)).motion == (0.3333, -1.66667)
+    with pytest.raises(InputError, match="multiples of 1/6"):
+        Sampling(6, motion=(0.33, 0.0))
+
+
 def test_history_that_moves_along_is_as_good_as_that_of_a_scene_at_rest():
     scene, views = moving(MOTION)
     settings = defaults(AntiAliasing, torch.float64)
@@ -316,8 +323,10 @@ def test_the_weather_file_draws_the_same_picture(run, given, tmp_path):
         (("photo.exr", "--factor", "5"), "--factor 5; give an even number from 4 to 16"),
         (("photo.exr", "--footprint", "1.5"), "--footprint 1.5; give pixels from 0"),
         (("photo.exr", "--footprint", "nan"), "--footprint nan; give pixels from 0"),
-        (("photo.exr", "--motion", "1.1,0"), "--motion 1.1,0; give pixels to the right and down, whole pixels"),
+        (("photo.exr", "--motion", "1.1,0"), "--motion 1.1,0.0; give pixels to the right and down, whole pixels"),
         (("photo.exr", "--motion", "9,0"), "up to 8"),
+        (("photo.exr", "--motion", "0,1"), "at --motion 0,1; give a larger photo or a smaller --motion"),
+        (("photo.exr", "--fix", "AA_SUBPIXEL=1", "--free", "AA_SUBPIXEL"), "--fix and --free both name AA_SUBPIXEL"),
         (("photo.exr", "--motion", "fast"), "--motion fast; give RIGHT,DOWN"),
         (("photo.exr", "--screen", "film"), "allowed are srgb and pq"),
         (("photo.exr", "--fix", "SKY_OZONE=1"), "give one of AA_"),
