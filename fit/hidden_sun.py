@@ -17,6 +17,7 @@ from fit.solution import Fitted, SunPlace
 
 NAMES = ("SUN_ELEVATION", "SUN_AZIMUTH")
 _WORDS = {"SUN_ELEVATION": "elevation", "SUN_AZIMUTH": "azimuth"}
+UNSETTLED = "no disc seen, and its search did not settle; a place near the brightest part of the sky is kept"
 # From the brightest part of the sky. The sun of an overcast photo, searched freely, ends 40 degrees from it and below
 # the horizon, where it stands for the shape of the clouds.
 FARTHEST = math.radians(30.0)

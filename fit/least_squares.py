@@ -22,7 +22,7 @@ from jaxtyping import Float64
 from scipy.optimize import least_squares
 
 from fit.gauss_newton import half_square
-from fit.minimum import Budget, Ending, Minimum, Objective, Point, Watch, watched
+from fit.minimum import STUCK, Budget, Ending, Minimum, Objective, Point, Watch, watched
 
 COARSE_LOSS, COARSE_POINT = 1e-2, 1e-3  # changes, relative and of the point, below which `trf` has done its part
 FIRST_DAMPING = 1e-3
@@ -97,7 +97,7 @@ def _finish(watch: Watch) -> Ending:
             return Ending("the loss no longer falls", converged=True)
         if abs(trial - model.point).max() <= tolerance:
             # Or could not: a kink, or a border of what is finite, also makes the damping grow.
-            return Ending("the point no longer moves", watch.is_settled())
+            return Ending(STUCK, watch.is_settled())
         tried = watch.model(trial)
         gained = model.loss - tried.loss
         if gained > 0.0:

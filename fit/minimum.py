@@ -17,6 +17,7 @@ from fit.gauss_newton import QuadraticModel, half_square
 Point = Float64[np.ndarray, " n"]
 
 INTERRUPTED = "interrupted"  # the reason by which a caller knows to go no further
+STUCK = "the point no longer moves"  # settled or not
 
 # With some thousand residuals this share of the loss is half a standard error of one parameter.
 NEGLIGIBLE = 1e-4

@@ -17,7 +17,7 @@ from fit import account, hidden_sun, keyframes, night, sky_mask, sun
 from fit import photo as photos
 from fit.asked import Options
 from fit.input_error import InputError
-from fit.minimum import INTERRUPTED, Budget, Minimum, Point
+from fit.minimum import INTERRUPTED, STUCK, Budget, Minimum, Point
 from fit.objective import Sample, SkyObjective
 from fit.photo import Photo
 from fit.pixels import Pixels, averaged, stratified, usable
@@ -249,7 +249,10 @@ def _stages(home: Scene, pixels: Pixels, options: Options, late: tuple[str, ...]
         wider = SearchSpace(space.scene(torch.from_numpy(last.point)), (*space.free, *late))
         with_late = replace(fine, space=wider, geometry=_geometry(wider, SIZE))
         moved = search(with_late, wider.point(wider.start), LATE_BUDGET)
-        if why := hidden_sun.why_not(wider, moved.point, left_open(with_late, moved)):
+        why = hidden_sun.why_not(wider, moved.point, left_open(with_late, moved))
+        if moved.reason == STUCK and not moved.converged:
+            why = hidden_sun.UNSETTLED
+        if why:
             stays = replace(last, history=moved.history, iterations=moved.iterations, evaluations=moved.evaluations)
             yield _Found(fine, stays, {**pinned, **dict.fromkeys(late, why)})
         else:
