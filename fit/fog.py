@@ -41,7 +41,7 @@ __all__ = ["Fogged", "Options", "fit", "solve", "sun_of"]
 
 COARSE_PIXELS = 500  # at which starts are compared
 PIXELS = 4000  # of a search
-# At its end: 4000 give densities of path-traced fog an error of up to 3.4 % by their noise alone.
+# At its end: in four of five path-traced scenes densities are off by 0.7 % at most, where 4000 left 1.7 %.
 FINE_PIXELS = 16_000
 STARTS = tuple(product((1e-4, 1e-3, 1e-2), (15.0, 60.0, 240.0)))  # extinction [1/m] and scale height [m]
 # Variance of what is wider than a pixel, over what the residuals show of it. It is light scattered twice and shadows in

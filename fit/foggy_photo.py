@@ -92,8 +92,9 @@ class FoggyPhoto:
         drawn = np.random.default_rng(seed).random(len(stretches)) * (len(line) / len(stretches))
         chosen = np.minimum((stretches + drawn).astype(int), len(line) - 1)
         line, column = line[chosen], column[chosen]
-        return FogObjective(space, self.at(line, column), self._smoothed(line, column), self._greatest_lights())
+        return FogObjective(space, self.at(line, column), self._smoothed(line, column), self._greatest_lights)
 
+    @cached_property
     def _greatest_lights(self) -> Float[Tensor, "2 3"] | None:
         """Of sun and sky, what the fog's tints can make of those of a known sky, with room for its own error."""
         if self.home.sky is None:

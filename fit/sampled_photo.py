@@ -138,7 +138,8 @@ class Scenery:
     def _views(self, corners: Sequence[tuple[int, int]], shape: tuple[int, int], disc: Tensor) -> Views:
         """Pictures behind a disc, 1 where it is and 0 elsewhere, that shows them mirrored."""
         right, down = self.sampling.motion
-        even, odd = self._fine(corners, shape, (right, down), disc), self._fine(corners, shape, (0.0, 0.0), disc)
+        odd = self._fine(corners, shape, (0.0, 0.0), disc)
+        even = odd if self.sampling.is_at_rest else self._fine(corners, shape, (right, down), disc)
         mirrored = odd[0].flip(-2)
         frames = [
             self._sampled(torch.lerp(fine, mirrored, disc), texture, offset)

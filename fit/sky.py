@@ -61,7 +61,7 @@ LEAN = 3.2  # towards the sun, of the clouds where a search begins
 SIZE = sky.Size(rows=16, columns=5, steps=24, heights=6, suns=8, steps_around=6)  # of the search's tables
 # Twice these pixels, tables of twice the cells and tighter tolerances change the error by less than 1 %.
 COARSE_PIXELS, FINE_PIXELS = 400, 1200
-GAIN_PIXELS = 10_000  # the gains' own standard error is then below a thousandth
+GAIN_PIXELS = 10_000  # a log gain's standard error is then a hundredth of the residuals' spread
 ROUGH_BUDGET, FINE_BUDGET = Budget(tolerance=3e-3), Budget(tolerance=1e-3)
 LATE_BUDGET = Budget(tolerance=3e-4, evaluations=60)  # of what is searched on top of what was found
 

@@ -119,7 +119,7 @@ class Through:
     up: Float[Tensor, "*batch"]  # climb per length
     eye: Float[Tensor, "*#batch"]  # density at the eye over that at the base height
     end: Float[Tensor, "*batch"]  # and at the far end
-    mean: Float[Tensor, "*batch"]  # over the ray
+    mean: Float[Tensor, "*batch"]  # of the density over the ray
     length: Float[Tensor, "*batch"]  # [m]
 
 

@@ -255,9 +255,9 @@ def _length(height: Tensor, cos_view: Tensor) -> tuple[Tensor, Tensor]:
     below = height * (2.0 * PLANET_RADIUS + height)
     reach = climb * climb - below
     lands = (reach > 0.0) & (cos_view < 0.0)
-    # The millimetre keeps 0/0 from a level ray that starts on the ground.
     rises = cos_view > 0.0
-    steep = torch.where(rises, climb, -climb)
+    steep = torch.where(rises, climb, -climb)  # abs() has no slope at a level ray, where the length has one
+    # The millimetre keeps 0/0 from a level ray that starts on the ground.
     to_ground = below / (safe_sqrt(reach) + steep + 1e-3)
     # The square metre keeps 0/0 from a level ray that starts where the air ends.
     above = torch.clamp((TOP - height) * (2.0 * PLANET_RADIUS + TOP + height), min=1.0)
