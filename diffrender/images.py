@@ -133,10 +133,50 @@ def bilinear(
     Gradient: of the picture, exact; of the place, the slope within the square of the four centres.
     By gather and lerp, because grid_sample has no forward-mode derivative.
     """
+    pixel, share = _pixels_round(picture, place, address)
+    across, down = share[..., 0, None], share[..., 1, None]
+    upper = torch.lerp(pixel(0, 0), pixel(0, 1), across)
+    lower = torch.lerp(pixel(1, 0), pixel(1, 1), across)
+    return torch.lerp(upper, lower, down)
+
+
+def catmull_rom(
+    picture: Float[Tensor, "*batch height width channels"],
+    place: Float[Tensor, "*#batch h w 2"],
+    address: Address,
+) -> Float[Tensor, "*batch h w channels"]:
+    """Value of a picture at places by the cubic through 4 x 4 pixel centres; at a centre that pixel, to the bit.
+
+    Keeps detail that `bilinear` blurs, at four times its cost; overshoots at edges by up to an eighth of their step in
+    each direction.
+
+    Gradient: of the picture, exact; of the place, continuous.
+    Source: E. Catmull, R. Rom, "A class of local interpolating splines", Computer Aided Geometric Design, 1974.
+    """
+    pixel, share = _pixels_round(picture, place, address)
+    columns, rows = (_cubic_weights(share[..., axis, None]) for axis in (0, 1))
+    total = torch.zeros_like(share[..., :1])
+    for down, of_row in enumerate(rows, start=-1):
+        along = sum(weight * pixel(down, across) for across, weight in enumerate(columns, start=-1))
+        total = total + of_row * along
+    return total
+
+
+def _cubic_weights(share: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+    """Of the pixels one before, at, one after and two after the first, at a share of the way to the next."""
+    rest = 1.0 - share
+    outer, beyond = -0.5 * share * rest * rest, -0.5 * rest * share * share
+    first = 1.0 + share * share * (1.5 * share - 2.5)
+    return outer, first, share * (0.5 + share * (2.0 - 1.5 * share)), beyond
+
+
+def _pixels_round(
+    picture: Tensor, place: Tensor, address: Address
+) -> tuple[Callable[[int, int], Tensor], Float[Tensor, "*#batch h w 2"]]:
+    """Pixels some rows down and columns across from the last centres before places, and the way on to the next."""
     height, width, channels = picture.shape[-3:]
     corner = place - 0.5
     first = corner.detach().floor()
-    share = corner - first
     column, row = (first[..., axis].long() for axis in (0, 1))
     flat = picture.flatten(-3, -2)
 
@@ -146,10 +186,7 @@ def bilinear(
         every_channel = index.flatten(-2)[..., None].expand(*picture.shape[:-3], -1, channels)
         return flat.gather(-2, every_channel).reshape(*index.shape, channels)
 
-    across, down = share[..., 0, None], share[..., 1, None]
-    upper = torch.lerp(pixel(0, 0), pixel(0, 1), across)
-    lower = torch.lerp(pixel(1, 0), pixel(1, 1), across)
-    return torch.lerp(upper, lower, down)
+    return pixel, corner - first
 
 
 def resized(

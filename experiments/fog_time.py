@@ -1,8 +1,9 @@
 """How long height fog takes over a full picture: beside a copy of as many bytes, beside marches, and on panoramas.
 
-All are ratios within a run. Pictures are in planes (their shape ends in the channels, their memory does not), because
-compiled code is several times slower along an axis of three. The march is written as well as the closed form: channel
-by channel, steps exact for their own depth, compiled in pieces of 16 steps that stay in the processor's registers.
+All are ratios within a run; grey fog dims all channels alike, as the default tint does. Pictures are in planes (their
+shape ends in the channels, their memory does not), because compiled code is several times slower along an axis of
+three. The march is written as well as the closed form: channel by channel, steps exact for their own depth, compiled in
+pieces of 16 steps that stay in the processor's registers.
 """
 
 import argparse
@@ -31,10 +32,12 @@ BAND = 32  # rows of a picture that are drawn at a time
 PIECE = 16  # steps of a march that are compiled together
 STEPS = (16, 64, 256)
 FREE = ("extinction", "extinction_tint", "scale_height", "base_height", "albedo", "asymmetry")  # of the gradient
+GREY = tuple(name for name in FREE if name != "extinction_tint")  # of that of grey fog
 PANORAMAS = (1024, 2048, 4096, 8192)
 MEBIBYTE = 2**20
 
 Draw = Callable[[Tensor, Tensor, Tensor], Tensor]
+Render = Callable[[HeightFog, FogView], Tensor]
 
 
 def planes(picture: Tensor) -> Tensor:
@@ -57,10 +60,10 @@ def view(direction: Tensor, length: Tensor, background: Tensor) -> FogView:
     return FogView(rays, background, to_sun, torch.tensor([2.4, 1.9, 1.3]), torch.tensor([0.2, 0.27, 0.4]))
 
 
-def closed_form() -> Draw:
-    """The last rung, of fog that is made beforehand: torch.compile does not look into `defaults`."""
+def closed_form(render: Render = height_fog.render) -> Draw:
+    """A rung's picture of fog that is made beforehand: torch.compile does not look into `defaults`."""
     fog = defaults(HeightFog)
-    return lambda direction, length, background: height_fog.render(fog, view(direction, length, background))
+    return lambda direction, length, background: render(fog, view(direction, length, background))
 
 
 def in_bands(draw: Draw) -> Draw:
@@ -114,18 +117,20 @@ def march(steps: int, compiled: Callable[..., Any]) -> Draw:
     return draw
 
 
-def value_and_gradient(compiled: Callable[..., Any]) -> Draw:
-    """Gradient of a loss of the whole picture by fourteen numbers of the fog; the loss is compiled, not the picture."""
+def value_and_gradient(
+    compiled: Callable[..., Any], names: Sequence[str] = FREE, render: Render = height_fog.render
+) -> Draw:
+    """Gradient of a loss of the whole picture by numbers of the fog; the loss is compiled, not the picture."""
     plain = vars(defaults(HeightFog))
 
     def loss(values: list[Tensor], direction: Tensor, length: Tensor, background: Tensor) -> Tensor:
-        fog = HeightFog(**(plain | dict(zip(FREE, values, strict=True))))
-        return (height_fog.render(fog, view(direction, length, background)) - 0.3).square().mean()
+        fog = HeightFog(**(plain | dict(zip(names, values, strict=True))))
+        return (render(fog, view(direction, length, background)) - 0.3).square().mean()
 
     fast = compiled(loss)
 
     def gradient(direction: Tensor, length: Tensor, background: Tensor) -> Tensor:
-        values = [plain[name].clone().requires_grad_() for name in FREE]
+        values = [plain[name].clone().requires_grad_() for name in names]
         found = torch.autograd.grad(fast(values, direction, length, background), values)
         return torch.cat([part.reshape(-1) for part in found])
 
@@ -168,9 +173,11 @@ def beside_copy(
         "forward, eager": closed_form(),
         "forward, eager in bands": in_bands(closed_form()),
         "forward, compiled": compiled(closed_form()),
+        "forward, grey, compiled": compiled(closed_form(height_fog.render_grey)),
         "forward and backward, eager": value_and_gradient(as_it_is),
         "forward and backward, eager in bands": gradient_in_bands,
         "forward and backward, compiled": value_and_gradient(compiled),
+        "forward and backward, grey, compiled": value_and_gradient(compiled, GREY, height_fog.render_grey),
     }
     found = []
     for name, work in works.items():

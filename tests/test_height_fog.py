@@ -181,6 +181,15 @@ def test_phase_functions_of_all_directions_sum_to_one():
     torch.testing.assert_close(total, torch.ones(3, dtype=FLOAT), rtol=1e-6, atol=0.0)
 
 
+def test_grey_fog_is_the_closed_form_to_the_bit_and_a_tint_is_left_out():
+    seen = height_fog.example_inputs(FLOAT)
+    grey = fog_of()
+    assert torch.equal(height_fog.render_grey(grey, seen), height_fog.render(grey, seen))
+    tinted = replace(grey, extinction_tint=torch.tensor([0.5, 1.0, 1.5], dtype=FLOAT))
+    assert torch.equal(height_fog.render_grey(tinted, seen), height_fog.render_grey(grey, seen))
+    assert not torch.equal(height_fog.render(tinted, seen), height_fog.render(grey, seen))
+
+
 def test_the_alpha_blend_is_the_closed_form_where_no_sunlight_is_dimmed():
     above = ray(1500.0, [0.1, 0.0, 0.9], [1e3, 1e4, 30.0])
     seen = view(above, background=0.2, sky=0.4, elevation=1.2)

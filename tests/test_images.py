@@ -4,6 +4,7 @@ import pytest
 import torch
 
 from diffrender import images
+from diffrender.antialiasing import edge_taa
 
 GENERATOR = torch.Generator().manual_seed(1)
 NOISE = torch.rand(6, 8, 3, generator=GENERATOR, dtype=torch.float64)
@@ -96,6 +97,35 @@ def test_bilinear_has_the_gradients_of_its_formula():
 
     def draw(picture, place):
         return images.bilinear(picture, place, images.wrapped)
+
+    assert torch.autograd.gradcheck(draw, (picture, place), check_forward_ad=True, check_batched_grad=True)
+
+
+def test_the_cubic_gives_the_pixels_at_their_centres_and_parabolas_between():
+    centres = images.places(8, 6, CENTRED)
+    assert torch.equal(images.catmull_rom(NOISE, centres, images.clamped), NOISE)
+
+    def parabola(place):
+        right, down = place[..., 0, None], place[..., 1, None]
+        return torch.cat([right * right, down * down - right * down, 3.0 - right], -1)
+
+    place = centres[1:-2, 1:-2] + torch.tensor([0.3, 0.85])
+    torch.testing.assert_close(images.catmull_rom(parabola(centres), place, images.clamped), parabola(place))
+
+
+def test_the_cubic_overshoots_a_corner_by_its_negative_weights():
+    worst = (torch.arange(4) % 3 == 0)[:, None] ^ (torch.arange(4) % 3 == 0)  # where one weight of two is negative
+    middle = torch.full((1, 1, 2), 2.0, dtype=torch.float64)
+    value = images.catmull_rom(worst.double()[..., None], middle, images.clamped)
+    assert value.item() == pytest.approx(-edge_taa.OVERSHOOT)
+
+
+def test_the_cubic_has_the_gradients_of_its_formula():
+    place = images.places(7, 5, torch.tensor([0.21, 0.37], dtype=torch.float64)).requires_grad_()
+    picture = NOISE.clone().requires_grad_()
+
+    def draw(picture, place):
+        return images.catmull_rom(picture, place, images.wrapped)
 
     assert torch.autograd.gradcheck(draw, (picture, place), check_forward_ad=True, check_batched_grad=True)
 

@@ -4,7 +4,8 @@ Even frames are sampled half a pixel below the pixel centres, odd ones half a pi
 each; then it is resampled to the centres along its jitter, by four taps with negative lobes that shrink with contrast,
 so that textures stay sharp and edges get little halo. The picture is the mean of this frame and the reprojected one
 before, both so sharpened: four samples at the middles of the pixel's edges. Where the one before may not be used, it
-is this frame alone without sharpening, which would show its aliasing.
+is this frame alone without sharpening, which would show its aliasing. It is read between its pixels by a cubic, because
+bilinear means blur what moves by fractions of a pixel.
 
 Only the input of the frame before is used, never its output: nothing lasts longer than one frame, and a scene at rest
 whose motion is known never changes from the second frame on.
@@ -31,8 +32,9 @@ from diffrender.antialiasing.edges import encoded_luma
 from diffrender.antialiasing.footage import Footage
 from diffrender.antialiasing.settings import PREFIX, AntiAliasing
 from diffrender.effect import Effect, Rung
-from diffrender.images import Frames, bilinear, clamped
+from diffrender.images import Frames, catmull_rom, clamped
 
+OVERSHOOT = 9.0 / 32.0  # of `catmull_rom` between four pixels: its negative weights [of the range of its pixels]
 OFFSETS = ((0.0, 0.5), (0.5, 0.0))  # of even and odd frames: to the right and down [pixels]
 
 
@@ -68,7 +70,7 @@ def step(
     left = State(sharpened, motion, count + 1)
     if state is None:
         return plain, left
-    before = history.reprojected(partial(bilinear, state.sharpened, address=clamped), state.motion, motion)
+    before = history.reprojected(partial(catmull_rom, state.sharpened, address=clamped), state.motion, motion)
     share = decisions.accept(settings, plain, before)[..., None]
     return torch.lerp(plain, (sharpened + before.colour) / 2, share), left
 
@@ -101,8 +103,9 @@ def skip(_settings: AntiAliasing, frames: Frames) -> Float[Tensor, "*batch time 
 
 
 def largest_change(settings: AntiAliasing, shown: Footage) -> Float[Tensor, ""]:
-    """Bound on the change of any value: the range of the samples and what the lobes add to either end of it."""
-    return footage.spread(shown.fine) * (1.0 + 2.0 * settings.sharpening)
+    """Bound on the change of any value: the range of the samples, what the lobes add to either end, and history."""
+    lobes = 2.0 * settings.sharpening
+    return footage.spread(shown.fine) * (1.0 + lobes + OVERSHOOT / 2.0 * (1.0 + 2.0 * lobes))
 
 
 def between_pixels(_settings: AntiAliasing, shown: Footage) -> Frames:
