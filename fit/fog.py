@@ -22,7 +22,7 @@ from diffrender.atmosphere.celestial import Sun
 from diffrender.atmosphere.height_fog import HeightFog
 from diffrender.parameters import defaults, specifications
 from diffrender.scene import Exposure, Scene, places, skylight, weather_names
-from fit import account, foggy_photo, hidden_sun, keyframes, residual_covariance, sun
+from fit import account, foggy_photo, hidden_sun, keyframes, residual_covariance, selection, sun
 from fit import photo as photos
 from fit.fog_objective import FogObjective, Lights
 from fit.foggy_photo import FoggyPhoto, Options
@@ -122,8 +122,8 @@ def solve(photo: Photo, options: Options) -> Fogged:
 
     minimum = search(objective, start)
     known = _known(objective, minimum.point)
-    left_out = {name: why for name, why in zip((*space.free, SURFACES), known.why, strict=False) if why}
-    pinned = [name for name in space.free if name in left_out and name not in (*options.free, DENSITY)]
+    open_ones = selection.undetermined(dict(zip(space.free, known.why, strict=False)), overcast=None)
+    pinned = {name: why for name, why in open_ones.items() if name not in (*options.free, DENSITY)}
     if pinned and len(pinned) < len(minimum.point) and minimum.reason != INTERRUPTED:
         # What the photo leaves open goes to where it was at home, and the rest, if there is one, is searched again.
         kept = [index for index, name in enumerate(space.free) if name not in pinned]
@@ -131,6 +131,8 @@ def solve(photo: Photo, options: Options) -> Fogged:
         space = SearchSpace(home, tuple(name for name in space.free if name not in pinned))
         objective = replace(objective, space=space)
         minimum = search(objective, minimum.point[kept])
+    else:
+        pinned = {}
     if minimum.reason != INTERRUPTED:
         objective = seen.objective(space, FINE_PIXELS, options.seed)
         minimum = search(objective, minimum.point)
@@ -139,6 +141,7 @@ def solve(photo: Photo, options: Options) -> Fogged:
     lights = objective.lights(point)
     scene = _lit(home, space.scene(point[: len(space.free)]), lights)
     solved = time.monotonic()
+    left_out = pinned | {name: why for name, why in zip((*space.free, SURFACES), known.why, strict=False) if why}
     held = partial(_unsearched, options=options, left_out=left_out, place=place)
     parameters = account.parameters(scene, space, known, held)
     kept = [index for index, name in enumerate(space.free) if parameters[name].determined]
@@ -156,7 +159,7 @@ def solve(photo: Photo, options: Options) -> Fogged:
         gains=account.gains(scene),
         used=seen.used,
         pixels={"used": int(seen.used.sum()), "masked": seen.used.size - int(seen.used.sum()), **photo.counts()},
-        left_out=left_out | {name: why for name, why in zip((*space.free, SURFACES), known.why, strict=False) if why},
+        left_out=left_out,
         error=float(difference[difference.isfinite()].square().mean()),
         minimum=minimum,
         solver=options.solver,

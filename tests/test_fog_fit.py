@@ -85,6 +85,17 @@ def test_a_known_fog_is_recovered(fogged):
 
 
 @pytest.mark.slow
+def test_what_ends_at_a_bound_stays_there_and_is_not_taken_for_open(tmp_path):
+    seen, clear, distance = drawn(fog=replace(FOG, rayleigh_share=torch.zeros(3, dtype=torch.float64)))
+    write(tmp_path / "clear.exr", clear)
+    given = {name: TRUTH[name] for name in TRUTH if "EXTINCTION" not in name}
+    solution = fog.fit(photo(seen, distance), replace(GIVEN, clear=tmp_path / "clear.exr", fixed=given))
+    found = [solution.parameters[f"HEIGHT_FOG_RAYLEIGH_SHARE_{channel}"] for channel in "RGB"]
+    assert max(one.value for one in found) < 0.05
+    assert "at its lower bound" in {one.why for one in found}
+
+
+@pytest.mark.slow
 def test_without_the_view_without_fog_the_intervals_are_wider_and_hold_the_truth(fogged, alone):
     assert max(apart(alone.solution).values()) < 4.0, apart(alone.solution)
     told = "HEIGHT_FOG_EXTINCTION"
