@@ -119,6 +119,23 @@ def safe_sqrt(square: Float[Tensor, "*batch"]) -> Float[Tensor, "*batch"]:
     return torch.where(lost, torch.zeros_like(square), torch.sqrt(torch.where(lost, torch.ones_like(square), square)))
 
 
+def smooth_rise(distance: Float[Tensor, "*#batch"], width: Float[Tensor, "*#batch"]) -> Float[Tensor, "*batch"]:
+    """Share that rises from 0, at a distance of 0 and below, to 1 at a width and beyond, without a kink: 3x² - 2x³.
+
+    A width of 0 makes it a step, 1 from a distance of 0 on.
+
+    Gradient: 0 at both ends and beyond, and everywhere for a width of 0.
+
+    >>> smooth_rise(torch.tensor([-1.0, 1.0, 2.0, 5.0]), torch.tensor(4.0))
+    tensor([0.0000, 0.1562, 0.5000, 1.0000])
+    """
+    is_step = width <= 0.0
+    over = torch.where(is_step, torch.ones_like(width), width)
+    # Cut off before it is divided, so that no quotient overflows.
+    place = torch.minimum(distance.clamp(min=0.0), over) / over
+    return torch.where(is_step, (distance >= 0.0).to(place), place * place * (3.0 - 2.0 * place))
+
+
 def lookup(
     table: Float[Tensor, "rows columns *channels"], row: Float[Tensor, "*batch"], column: Float[Tensor, "*batch"]
 ) -> Float[Tensor, "..."]:

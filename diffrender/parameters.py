@@ -14,6 +14,7 @@ from torch.utils import _pytree as pytree  # torch has no public name for regist
 Record = TypeVar("Record")
 
 CHANNELS = ("R", "G", "B")
+TURNS = {"rad": 2.0 * math.pi, "degrees": 360.0}  # a whole circle by the first word of its unit
 
 
 @dataclass(frozen=True)
@@ -51,6 +52,20 @@ class Specification:
         """Bounds in the file's unit, the lower first."""
         low, high = sorted(bound * self.file_factor for bound in self.bounds)
         return low, high
+
+    @property
+    def turn(self) -> float | None:
+        """What added to a direction gives it again, where both bounds are the same direction; else None."""
+        low, high = self.bounds
+        turn = TURNS.get(self.unit.partition(" ")[0], math.inf)  # such as "degrees to the right"
+        return turn if math.isclose(high - low, turn) else None
+
+    def in_file_unit(self) -> "Specification":
+        """The same parameter as it stands in files."""
+        channels = self.default if isinstance(self.default, tuple) else (self.default,)
+        first, *more = (channel * self.file_factor for channel in channels)
+        default = (first, more[0], more[1]) if more else first
+        return Specification(default, self.file_bounds, self.file_unit, self.about, self.scale)
 
     def to_unit(self, value: Tensor) -> Tensor:
         """Place between the bounds, in the parameter's own scale: 0 at the lower one, 1 at the upper."""
