@@ -4,21 +4,17 @@ Numbers are in the files' units; a scene is in the library's.
 """
 
 import math
-from bisect import bisect_left
 from collections.abc import Mapping, Sequence
 from types import NoneType
 from typing import Any, get_args, get_type_hints
 
-import numpy as np
 import torch
-from scipy.interpolate import PchipInterpolator
 
 from diffrender.parameters import Specification, names, specifications
 from diffrender.scene import RECORDS, Scene, weather_names
+from diffrender.weather.timeline import DAY, between
 from fit.input_error import InputError
 from fit.weather_file import Weather, check
-
-DAY = 24.0  # hours
 
 
 def at(weather: Weather, hour: float) -> dict[str, float]:
@@ -33,13 +29,24 @@ def at(weather: Weather, hour: float) -> dict[str, float]:
     if not math.isfinite(hour):
         raise InputError(f"hour {hour}; give hours of the day such as 18.5")
     time = hour % DAY % DAY  # twice, because -1e-20 % 24 is 24
+    found = {name: values[0] for name, values in over(weather, [time]).items()}
+    if time in weather.hours:
+        # The sign of a zero is lost in between.
+        cells = {name: row[weather.hours.index(time)] for name, row in weather.values.items()}
+        found |= {name: cell for name, cell in cells.items() if cell is not None}
+    return found
+
+
+def over(weather: Weather, hours: Sequence[float]) -> dict[str, list[float]]:
+    """Values at many hours, for every name that has a keyframe; a keyframe's zero may lose its sign."""
     known = weather_names()
+    asked = torch.tensor(hours, dtype=torch.float64)
     found = {}
     for name, cells in weather.values.items():
         keyframes = [(there, cell) for there, cell in zip(weather.hours, cells, strict=True) if cell is not None]
         if keyframes:
-            hours, values = zip(*keyframes, strict=True)
-            found[name] = _between(hours, values, time, known[name])
+            times, values = torch.tensor(keyframes, dtype=torch.float64).unbind(-1)
+            found[name] = between(times, values, asked, known[name].in_file_unit()).tolist()
     return found
 
 
@@ -88,39 +95,6 @@ def _parts() -> dict[str, tuple[str, type[Any], bool]]:
         kind = next(one for one in kinds if one is not NoneType)
         parts[part] = prefixes[kind], kind, NoneType in kinds
     return parts
-
-
-def _between(hours: Sequence[float], values: Sequence[float], hour: float, known: Specification) -> float:
-    """Value at an hour of the day between keyframes."""
-    after = bisect_left(hours, hour)
-    if len(hours) == 1 or (after < len(hours) and hours[after] == hour):
-        return values[after % len(hours)]
-    low, high = known.file_bounds
-    turn = 0.0  # by how much the scaled values grow in a day
-    if known.scale == "log":
-        scaled = np.log(np.array(values) / known.file_factor)
-    elif _is_circle(known):
-        closed = np.unwrap([*values, values[0]], period=high - low)
-        scaled, turn = closed[:-1], closed[-1] - closed[0]
-    else:
-        scaled = np.array(values)
-    cyclic_hours = np.concatenate([np.array(hours) + shift for shift in (-DAY, 0.0, DAY)])
-    cyclic = np.concatenate([scaled + shift for shift in (-turn, 0.0, turn)])
-    # A difference below 1e-308 has an infinite reciprocal in the mean of the slopes, which is right: the slope is 0.
-    with np.errstate(over="ignore"):
-        there = float(PchipInterpolator(cyclic_hours, cyclic)(hour))
-    if known.scale == "log":
-        there = math.exp(there) * known.file_factor
-    elif _is_circle(known):
-        return there if low <= there <= high else low + (there - low) % (high - low)
-    ends = values[after - 1], values[after % len(values)]
-    return min(max(there, min(ends)), max(ends))  # rounding may have left the keyframes' span
-
-
-def _is_circle(known: Specification) -> bool:
-    """Whether the bounds are the same direction."""
-    low, high = known.bounds
-    return known.unit == "rad" and math.isclose(high - low, 2.0 * math.pi)
 
 
 def _record(kind: type[Any], given: Mapping[tuple[str, int | None], float], dtype: torch.dtype) -> Any:
