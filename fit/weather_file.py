@@ -29,6 +29,7 @@ _HEADER_LINE = re.compile(rf"#\s*(?P<name>{_HEADER_NAME.pattern})\s*:(?P<text>.*
 _PADDING = ' \t",;'  # what spreadsheets put round a line
 _SHOWN = 60  # letters of a text in a message
 _NUMBER = re.compile(r"[+-]?([0-9]+(\.[0-9]*)?|\.[0-9]+)([eE][+-]?[0-9]+)?")
+_THOUSANDS = re.compile(r"[+-]?[1-9][0-9]{0,2},[0-9]{3}")
 _FORMULA = re.compile(r"([,;]\s*)[-=+@]")  # what a spreadsheet would calculate, at the start of a cell
 
 
@@ -54,14 +55,14 @@ class Weather:
         for hour in self.hours:
             _check_hour(hour, earlier)
             earlier.append(hour)
+        known = weather_names()
         for name, cells in self.values.items():
-            self._check_row(name, cells)
+            self._check_row(name, cells, _known(name, known))
         for name in self.header:
             if not _HEADER_NAME.fullmatch(name):
                 raise InputError(f"header name {_quoted(name)}; allowed are letters, digits, space, _ and -")
 
-    def _check_row(self, name: str, cells: Sequence[float | None]) -> None:
-        specification = _known(name)
+    def _check_row(self, name: str, cells: Sequence[float | None], specification: Specification) -> None:
         if len(cells) != len(self.hours):
             raise InputError(f"{name} has {len(cells)} cells for {len(self.hours)} hours; give one or None for each")
         for value in cells:
@@ -82,7 +83,7 @@ def check(name: str, value: float) -> None:
     Raises:
         InputError: for an unknown name, with the nearest known one, and for a value outside its bounds.
     """
-    _check(name, value, _known(name))
+    _check(name, value, _known(name, weather_names()))
 
 
 def write(path: Path, weather: Weather) -> None:
@@ -113,14 +114,18 @@ def read(path: Path) -> Weather:
     file = _printable(str(path))
     lines = [(f"{file}, row {number}", line) for number, line in _lines(file, path) if line.strip(_PADDING)]
     end = next((at for at, (_, line) in enumerate(lines) if not line.strip(_PADDING).startswith("#")), len(lines))
-    header = _header(lines[1:end])
     if end == len(lines):
         raise InputError(f"{file}: no row {HOURS}; add the hours, such as {HOURS},12")
-    first, *rows = _rows(lines[end:])
+    separator = _separator(*lines[end])
+    header = _header(lines[1:end], separator)
+    first, *rows = [_row(where, line, separator) for where, line in lines[end:]]
     hours = _hours(first)
+    known = weather_names()
     values: dict[str, tuple[float | None, ...]] = {}
     for row in rows:
-        name, cells = _values(row, len(hours), len(first.cells))
+        with row.column(1):
+            specification = _known(row.cells[0], known)
+        name, cells = row.cells[0], _values(row, specification, len(hours), len(first.cells))
         if name in values:
             with row.column(1):
                 raise InputError(f"{name} stands twice; keep one row of it")
@@ -167,10 +172,19 @@ def _lines(file: str, path: Path) -> list[tuple[int, str]]:
     return list(enumerate(lines, start=1))
 
 
-def _header(lines: Sequence[tuple[str, str]]) -> dict[str, str]:
+def _separator(where: str, line: str) -> str:
+    """What follows TIME_OF_DAY in the first row of the table separates the cells of all lines."""
+    found = re.match(rf'\s*"?{HOURS}"?\s*([,;\t])', line)
+    if not found:
+        raise InputError(f"{where}, column 1: {_quoted(line)}; the first row of the table is {HOURS} and hours")
+    return found[1]
+
+
+def _header(lines: Sequence[tuple[str, str]], separator: str) -> dict[str, str]:
+    """Header of a file; a spreadsheet that opened it with commas has cut its texts there, whatever it saved."""
     header: dict[str, str] = {}
     for where, line in lines:
-        found = _HEADER_LINE.fullmatch(line.strip(_PADDING))
+        found = _HEADER_LINE.fullmatch(",".join(_cells(where, line, separator)).strip(_PADDING))
         if not found:
             raise InputError(f"{where}, column 1: {_quoted(line)}; allowed is '# name: value'")
         if found["name"] in header:
@@ -179,20 +193,15 @@ def _header(lines: Sequence[tuple[str, str]]) -> dict[str, str]:
     return header
 
 
-def _rows(lines: Sequence[tuple[str, str]]) -> list[_Row]:
-    """Rows of the table; what follows TIME_OF_DAY in the first of them is the separator of all."""
-    where, line = lines[0]
-    found = re.match(rf'\s*"?{HOURS}"?\s*([,;\t])', line)
-    if not found:
-        raise InputError(f"{where}, column 1: {_quoted(line)}; the first row of the table is {HOURS} and hours")
-    rows = []
-    for where, line in lines:
-        try:
-            cells = next(csv.reader([line], delimiter=found[1], strict=True))
-        except csv.Error as error:
-            raise InputError(f"{where}, column 1: {error}; check the quotes") from None
-        rows.append(_Row(where, [cell.strip() for cell in cells]))
-    return rows
+def _row(where: str, line: str, separator: str) -> _Row:
+    return _Row(where, [cell.strip() for cell in _cells(where, line, separator)])
+
+
+def _cells(where: str, line: str, separator: str) -> list[str]:
+    try:
+        return next(csv.reader([line], delimiter=separator, strict=True))
+    except csv.Error as error:
+        raise InputError(f"{where}, column 1: {error}; check the quotes") from None
 
 
 def _hours(row: _Row) -> tuple[float, ...]:
@@ -211,11 +220,9 @@ def _hours(row: _Row) -> tuple[float, ...]:
     return tuple(hours)
 
 
-def _values(row: _Row, hours: int, width: int) -> tuple[str, tuple[float | None, ...]]:
-    """Name and cells of a row; beyond the hours there may only be what fills it up to the row of the hours."""
+def _values(row: _Row, specification: Specification, hours: int, width: int) -> tuple[float | None, ...]:
+    """Cells of a row; beyond the hours there may only be what fills it up to the row of the hours."""
     name, *texts = row.cells
-    with row.column(1):
-        specification = _known(name)
     with row.column(min(len(row.cells), width) + 1):
         if len(row.cells) != width:
             raise InputError(
@@ -231,14 +238,15 @@ def _values(row: _Row, hours: int, width: int) -> tuple[str, tuple[float | None,
             value = _number(text)
             _check(name, value, specification)
             values[column] = value
-    return name, tuple(values[:hours])
+    return tuple(values[:hours])
 
 
 def _number(text: str) -> float:
     if _NUMBER.fullmatch(text):
         return float(text)
     if _NUMBER.fullmatch(text.replace(",", ".", 1)):
-        raise InputError(f"{_quoted(text)} has a decimal comma; write {text.replace(',', '.', 1)}")
+        thousands = f", or {text.replace(',', '')} if it marks thousands" if _THOUSANDS.fullmatch(text) else ""
+        raise InputError(f"{_quoted(text)} has a decimal comma; write {text.replace(',', '.', 1)}{thousands}")
     raise InputError(
         f"{_quoted(text)} is not a finite number; write numbers such as 0.5, 1e-3 or, for half past six, 6.5"
     )
@@ -255,9 +263,8 @@ def _check_hour(hour: float, earlier: Sequence[float]) -> None:
     raise InputError(f"hour {_written(hour)} stands twice; hours are {CLOSEST:g} apart or more, over midnight too")
 
 
-def _known(name: str) -> Specification:
+def _known(name: str, known: Mapping[str, Specification]) -> Specification:
     """What is known of a name."""
-    known = weather_names()
     if name not in known:
         # Shortened, because the search takes the square of the length.
         nearest = difflib.get_close_matches(name.upper()[:_SHOWN], known, n=1, cutoff=0.0)[0]

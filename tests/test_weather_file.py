@@ -112,6 +112,15 @@ def test_what_spreadsheets_save_reads_the_same(tmp_path: Path, text: str) -> Non
     assert bits(read_text(tmp_path, text)) == bits(WEATHER)
 
 
+def test_a_header_that_a_spreadsheet_has_cut_at_its_commas_is_whole_again(tmp_path: Path) -> None:
+    for separator in ",;\t":
+        lines = ["# weather 1", "# origin: a, b,c", "TIME_OF_DAY,6,12,18"]
+        cut = "\n".join(line.replace(",", separator) + separator * (3 - line.count(",")) for line in lines)
+        assert read_text(tmp_path, cut).header == {"origin": "a, b,c"}
+    kept = '# weather 1\n"# origin: a; b";;\nTIME_OF_DAY;6;12\n'
+    assert read_text(tmp_path, kept).header == {"origin": "a; b"}
+
+
 TABLE = "# weather 1\n# origin: x\nTIME_OF_DAY,6,12\n"
 
 
@@ -148,6 +157,11 @@ TABLE = "# weather 1\n# origin: x\nTIME_OF_DAY,6,12\n"
         (TABLE.replace("12\n", "12,\n") + "EXPOSURE,1,2,3\n", "row 4, column 4", "'3' stands under no hour"),
         (TABLE + 'EXPOSURE,1,"0,5"\n', "row 4, column 3", "decimal comma; write 0.5"),
         (TABLE.replace(",", ";") + "EXPOSURE;1;0,5\n", "row 4, column 3", "decimal comma; write 0.5"),
+        (
+            TABLE + 'EXPOSURE,1,"1,500"\n',
+            "row 4, column 3",
+            "decimal comma; write 1.500, or 1500 if it marks thousands",
+        ),
         (TABLE + "EXPOSURE,1,nan\n", "row 4, column 3", "'nan' is not a finite number"),
         (TABLE + "EXPOSURE,1,-inf\n", "row 4, column 3", "'-inf' is not a finite number"),
         (TABLE + "EXPOSURE,1,1_0\n", "row 4, column 3", "'1_0' is not a finite number"),
