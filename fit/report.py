@@ -4,10 +4,8 @@ import base64
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from importlib import resources
 from typing import Any
 
-import jinja2
 import numpy as np
 import torch
 from jaxtyping import Bool, Float, UInt8
@@ -16,6 +14,7 @@ from diffrender.colour import preview
 from diffrender.parameters import Specification
 from diffrender.scene import weather_names
 from fit import png
+from fit.page import template
 from fit.solution import Fitted, Solution
 
 EXPOSURES = {-2: "2 stops darker", 0: "metered", 2: "2 stops brighter"}
@@ -59,12 +58,8 @@ def gallery_page(solution: Solution, crops: Sequence[Mapping[str, UInt8[np.ndarr
 
 
 def _rendered(solution: Solution, pictures: Mapping[str, Any]) -> str:
-    environment = jinja2.Environment(
-        autoescape=True, undefined=jinja2.StrictUndefined, finalize=_visible, trim_blocks=True, lstrip_blocks=True
-    )
-    template = environment.from_string(resources.files("fit").joinpath("report.html").read_text("utf-8"))
     rows = [_row(name, fitted, weather_names()[name]) for name, fitted in solution.parameters.items()]
-    return template.render(
+    return template("report.html").render(
         solution=solution,
         error=_error_in_words(solution.error),
         number=number,
@@ -76,13 +71,6 @@ def _rendered(solution: Solution, pictures: Mapping[str, Any]) -> str:
         strongest=_strongest(solution),
         convergence=_convergence(solution.minimum.history),
     )
-
-
-def _visible(value: object) -> object:
-    # File names may hold control characters, marks that turn the reading direction, and bytes that are not text.
-    if not isinstance(value, str) or hasattr(value, "__html__") or value.isprintable():
-        return value
-    return "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in value)
 
 
 # Numbers
