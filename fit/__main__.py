@@ -1,7 +1,9 @@
 """The command line: reads, fits, writes; no mathematics."""
 
 import io
+import locale
 import os
+import shutil
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -288,6 +290,28 @@ def render(
 
 
 @app.command()
+def show(
+    weather: Annotated[Path, typer.Argument(help="Weather file.")],
+    out: Annotated[Path | None, typer.Option(metavar="HTML", help="Page to write, with larger plots.")] = None,
+) -> None:
+    """Print the table of a weather file and plot each parameter over the day."""
+    from fit import weather_file, weather_page, weather_text
+
+    _use_threads()
+    seen = weather_file.read(weather)
+    if out is not None:
+        weather_page.write(out, weather.name, seen)
+    letters = weather_text.BRAILLE if _knows("⣿") else weather_text.ASCII
+    text = weather_text.text(seen, shutil.get_terminal_size().columns, letters)
+    try:
+        _echo(text if out is None else f"{text}\n\nwritten to {out}")
+    except BrokenPipeError:
+        return  # whoever read it has seen enough
+    except OSError as error:
+        raise InputError(f"standard output fails ({error.strerror}); give it another place") from error
+
+
+@app.command()
 def tables(
     out: Annotated[Path, typer.Option(help="File to write, such as sky.safetensors.")],
     photos: Annotated[list[Path] | None, typer.Argument(help="HDR photos to fit; else a sky is marched.")] = None,
@@ -350,15 +374,31 @@ def _progress(what: str, quiet: bool) -> Iterator[None]:
 
 
 def _say(text: str) -> None:
-    # File names may hold bytes that are no text and characters that move a terminal's cursor.
     try:
-        typer.echo("\n".join(_visible(line) for line in text.split("\n")))
+        _echo(text)
     except OSError as error:
-        # What is left in its buffer would fail again, with a traceback, when the program ends.
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         raise InputError(
             f"the results are written, but not told: standard output fails ({error.strerror}); use --quiet"
         ) from error
+
+
+def _echo(text: str) -> None:
+    # File names may hold bytes that are no text and characters that move a terminal's cursor.
+    try:
+        typer.echo("\n".join(_visible(line) for line in text.split("\n")))
+    except OSError:
+        # What is left in its buffer would fail again, with a traceback, when the program ends.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        raise
+
+
+def _knows(letter: str) -> bool:
+    """Whether standard output has a letter, by its encoding and by the language that the user has set."""
+    try:
+        letter.encode(sys.stdout.encoding)
+    except UnicodeEncodeError:
+        return False
+    return locale.setlocale(locale.LC_CTYPE) not in ("C", "POSIX")
 
 
 def _visible(text: str) -> str:
