@@ -1,8 +1,6 @@
 """The command line: reads, fits, writes; no mathematics."""
 
 import io
-import locale
-import os
 import shutil
 import sys
 from collections.abc import Iterator
@@ -14,6 +12,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from fit import terminal
 from fit.input_error import InputError
 
 if TYPE_CHECKING:
@@ -301,14 +300,9 @@ def show(
     seen = weather_file.read(weather)
     if out is not None:
         weather_page.write(out, weather.name, seen)
-    letters = weather_text.BRAILLE if _knows("⣿") else weather_text.ASCII
-    text = weather_text.text(seen, shutil.get_terminal_size().columns, letters)
-    try:
-        _echo(text if out is None else f"{text}\n\nwritten to {out}")
-    except BrokenPipeError:
-        return  # whoever read it has seen enough
-    except OSError as error:
-        raise InputError(f"standard output fails ({error.strerror}); give it another place") from error
+    letters = weather_text.BRAILLE if terminal.has("⣿") else weather_text.ASCII
+    shown = weather_text.text(seen, shutil.get_terminal_size().columns, letters)
+    terminal.show(shown if out is None else f"{shown}\n\nwritten to {out}")
 
 
 @app.command()
@@ -334,7 +328,7 @@ def tables(
         made = stored_sky.made(stored_sky.Asked(form, tuple(photos or ()), mask_folder, weather, hour))
         files.save(out, made.tables, made.origin)
     if not quiet:
-        _say(f"{made.summary}\nwritten to {out}")
+        terminal.say(f"{made.summary}\nwritten to {out}")
 
 
 def _shot(latitude: float | None, longitude: float | None, time: str | None, heading: float | None) -> "Shot":
@@ -349,7 +343,7 @@ def _ended(folder: Path, solution: "Solution", quiet: bool) -> int:
     from fit import minimum, results
 
     if not quiet:
-        _say(results.summary(folder, solution))
+        terminal.say(results.summary(folder, solution))
     if solution.minimum.reason == minimum.INTERRUPTED:
         return INTERRUPTED
     return FITTED if solution.minimum.converged else NOT_CONVERGED
@@ -373,38 +367,6 @@ def _progress(what: str, quiet: bool) -> Iterator[None]:
         yield
 
 
-def _say(text: str) -> None:
-    try:
-        _echo(text)
-    except OSError as error:
-        raise InputError(
-            f"the results are written, but not told: standard output fails ({error.strerror}); use --quiet"
-        ) from error
-
-
-def _echo(text: str) -> None:
-    # File names may hold bytes that are no text and characters that move a terminal's cursor.
-    try:
-        typer.echo("\n".join(_visible(line) for line in text.split("\n")))
-    except OSError:
-        # What is left in its buffer would fail again, with a traceback, when the program ends.
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        raise
-
-
-def _knows(letter: str) -> bool:
-    """Whether standard output has a letter, by its encoding and by the language that the user has set."""
-    try:
-        letter.encode(sys.stdout.encoding)
-    except UnicodeEncodeError:
-        return False
-    return locale.setlocale(locale.LC_CTYPE) not in ("C", "POSIX")
-
-
-def _visible(text: str) -> str:
-    return "".join(letter if letter.isprintable() else "?" for letter in text)
-
-
 def main() -> None:
     """Run the command line; errors of the user are one line and exit status 2."""
     if isinstance(sys.stdout, io.TextIOWrapper):
@@ -421,7 +383,7 @@ def main() -> None:
 
 
 def _refuse(message: str) -> int:
-    typer.echo("error: " + _visible(" ".join(message.split())), err=True)
+    typer.echo("error: " + terminal.visible(" ".join(message.split())), err=True)
     return BAD_INPUT
 
 

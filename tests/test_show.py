@@ -9,8 +9,7 @@ import pytest
 
 from diffrender.scene import weather_names
 from experiments import weather_files
-from fit import __main__ as command
-from fit import keyframes, weather_file, weather_page
+from fit import keyframes, terminal, weather_file, weather_page
 from fit.weather_file import Weather
 from fit.weather_text import ASCII, BRAILLE, text
 
@@ -122,16 +121,16 @@ def test_what_has_no_keyframe_is_named():
 
 
 def test_the_command_prints_in_letters_that_the_terminal_has(run, day, monkeypatch):
-    monkeypatch.setattr(command.locale, "setlocale", lambda _: "C.UTF-8")
+    monkeypatch.setattr(terminal.locale, "setlocale", lambda _: "C.UTF-8")
     monkeypatch.setenv("COLUMNS", "60")
     assert run("show", day) == (0, text(weather_file.read(day), 60, BRAILLE) + "\n", "")
-    monkeypatch.setattr(command.locale, "setlocale", lambda _: "C")
+    monkeypatch.setattr(terminal.locale, "setlocale", lambda _: "C")
     status, told, complained = run("show", day)
     assert (status, complained, told.isascii()) == (0, "", True)
 
 
 def test_plain_letters_come_out_of_a_pipe_that_knows_no_others(run, day, monkeypatch):
-    monkeypatch.setattr(command.locale, "setlocale", lambda _: "C.UTF-8")
+    monkeypatch.setattr(terminal.locale, "setlocale", lambda _: "C.UTF-8")
     pipe = io.TextIOWrapper(io.BytesIO(), encoding="ascii")
     monkeypatch.setattr(sys, "stdout", pipe)
     assert run("show", day) == (0, "", "")
