@@ -54,8 +54,10 @@ def visible(text: str) -> str:
 
 def has(letter: str) -> bool:
     """Whether standard output has a letter, by its encoding and by the language that the user has set."""
+    # A closed standard output is None, one that is caught in a text has no encoding.
+    encoding = getattr(sys.stdout, "encoding", None) or "ascii"
     try:
-        letter.encode(sys.stdout.encoding)
+        letter.encode(encoding)
     except UnicodeEncodeError:
         return False
     return locale.setlocale(locale.LC_CTYPE) not in ("C", "POSIX")

@@ -139,6 +139,11 @@ def test_plain_letters_come_out_of_a_pipe_that_knows_no_others(run, day, monkeyp
     assert b"?" not in told
 
 
+def test_a_closed_output_is_no_error(run, day, monkeypatch):
+    monkeypatch.setattr(sys, "stdout", None)
+    assert run("show", day) == (0, "", "")
+
+
 class Closed:
     """Standard output whose reader has gone, or whose disk is full."""
 
