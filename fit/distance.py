@@ -25,7 +25,7 @@ def of(photo: Photo, path: Path | None, kind: str) -> Distance | None:
 
     Args:
         photo: whose channel Z is used where there is no file.
-        path: OpenEXR file with a channel Z, Y or R.
+        path: OpenEXR file with a channel Z, Y or R; of a picture in grey.
         kind: "euclidean", along each pixel's ray, or "depth", along the camera's axis.
 
     Raises:
@@ -33,7 +33,7 @@ def of(photo: Photo, path: Path | None, kind: str) -> Distance | None:
     """
     if kind not in KINDS:
         raise InputError(f"--distance-kind {kind} is unknown; allowed are {', '.join(KINDS)}")
-    given = exr.read_channel(path, ("Z", "Y", "R")) if path is not None else photo.distance
+    given = _read(path) if path is not None else photo.distance
     if given is None:
         return None
     source = path or photo.path
@@ -48,6 +48,14 @@ def of(photo: Photo, path: Path | None, kind: str) -> Distance | None:
     if not np.isfinite(far).any():
         raise InputError(f"{source} holds no distance between 0 and {SKY:g} m; give metres, larger ones for the sky")
     return _along_rays(far, camera, source) if kind == "depth" else far
+
+
+def _read(path: Path) -> Distance:
+    distance = exr.read_channel(path, ("Z", "Y", "R"))
+    # Some programs write distances as a picture in grey; one in colour is something else.
+    if not np.array_equal(distance, exr.read_channel(path, ("Z", "Y", "G", "R")), equal_nan=True):
+        raise InputError(f"{path} is a picture in colour; give an OpenEXR of distances in metres, in a channel Z")
+    return distance
 
 
 def _along_rays(depth: Distance, camera: Camera, source: Path) -> Distance:

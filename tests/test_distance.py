@@ -54,6 +54,15 @@ def test_a_file_goes_before_the_photo_s_own_channel(tmp_path, name):
     assert np.array_equal(distance.of(photo(GREY, own), path, "euclidean"), given)
 
 
+def test_a_picture_in_grey_is_read_and_one_in_colour_refused(tmp_path):
+    given = np.full(GREY.shape[:2], 2.0, np.float32)
+    grey = save(tmp_path / "grey.exr", dict.fromkeys("RGB", given))
+    assert np.array_equal(distance.of(photo(GREY), grey, "euclidean"), given)
+    colour = save(tmp_path / "colour.exr", {"R": given, "G": given + 1.0, "B": given})
+    with pytest.raises(InputError, match="colour.exr is a picture in colour; give an OpenEXR of distances"):
+        distance.of(photo(GREY), colour, "euclidean")
+
+
 def test_without_a_file_or_channel_no_distance_is_known():
     assert distance.of(photo(GREY), None, "euclidean") is None
 

@@ -192,8 +192,15 @@ def test_largest_change_is_a_bound(effect):
     assert wrong == {}
 
 
-@pytest.mark.parametrize("device", ["cpu", "meta", pytest.param("cuda", marks=pytest.mark.gpu)])
-@pytest.mark.parametrize("dtype", DTYPES)
+@pytest.mark.parametrize(
+    ("dtype", "device"),
+    [
+        (torch.float32, "cpu"),
+        (torch.float64, "cpu"),
+        (torch.float32, "meta"),
+        pytest.param(torch.float32, "cuda", marks=pytest.mark.gpu),
+    ],
+)
 @pytest.mark.parametrize(("effect", "rung"), RUNGS)
 def test_picture_has_the_dtype_and_device_of_the_inputs(effect, rung, dtype, device):
     if device == "cuda" and not torch.cuda.is_available():
