@@ -14,6 +14,7 @@ from fit.uncertainty import WIDEST, reasons, unexplained
 
 # Without a cloud layer there is nothing that these could change.
 OF_OVERCAST = "SKY_OVERCAST"
+NO_LAYER = "no cloud layer in the photo"
 # Patches of sky, as if independent, for the rule of thumb by which parameters give way to others. Which do is a matter
 # of how good the picture gets; error bars are made with more care afterwards.
 PATCHES = 60
@@ -47,7 +48,7 @@ def undetermined(why: Mapping[str, str], overcast: float | None) -> dict[str, st
     """Names that a photo says nothing of, with the reason; those of a cloud layer that it does not show among them."""
     lost = {name: reason for name, reason in why.items() if reason and not reason.startswith("at its")}
     if overcast == 0.0:
-        lost |= {name: "no cloud layer in the photo" for name in why if name.startswith(OF_OVERCAST)}
+        lost |= {name: NO_LAYER for name in why if name.startswith(OF_OVERCAST)}
     return lost
 
 

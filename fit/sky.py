@@ -25,10 +25,10 @@ from fit.search_space import SearchSpace, value
 from fit.selection import begin, left_open, pinned_scene, undetermined, widened
 from fit.solution import Fitted, Solution, SunPlace
 from fit.solvers import solver
-from fit.uncertainty import Uncertainty, evidence, uncertainty
+from fit.uncertainty import Evidence, Uncertainty, evidence, uncertainty
 from fit.weather_file import check
 
-__all__ = ["POOL", "SEARCHED", "Options", "Solved", "fit", "solve"]
+__all__ = ["POOL", "SEARCHED", "Options", "Solved", "check_sky", "compared", "fit", "sample", "solve"]
 
 SEARCHED = (
     "SKY_HAZINESS",
@@ -82,7 +82,7 @@ def fit(photo: Photo | Path, options: Options | None = None) -> Solution:
     mask = sky_mask.read(options.mask, photo) if options.mask else sky_mask.find(photo, place)
     used = usable(photo, mask.used)
     pixels = averaged(photo, used)
-    _check(pixels)
+    check_sky(pixels)
     read = time.monotonic()
     found = solve(pixels, place, options)
     space, known = found.space, found.known
@@ -119,6 +119,7 @@ class Solved:
     pinned: Mapping[str, str]  # names that were searched in vain, and why
     scene: Scene
     error: float  # mean square of the difference of log radiance
+    evidence: Evidence
     known: Uncertainty
     parameters: Mapping[str, Fitted]
     seconds: Mapping[str, float]  # to find the scene; then its error and those of its parameters
@@ -137,17 +138,23 @@ def solve(pixels: Pixels, place: SunPlace, options: Options) -> Solved:
     space, point = found.objective.space, torch.from_numpy(found.minimum.point)
     # The tables from which a picture is drawn: gains of coarser ones would be off by a percent.
     drawn = replace(found.objective, geometry=_geometry(space, sky.Size()))
-    gains = _closed_form_gains(drawn, pixels, stratified(pixels, GAIN_PIXELS, options.seed), point)
+    gains = _closed_form_gains(drawn, sample(pixels, stratified(pixels, GAIN_PIXELS, options.seed)), point)
     scene = account.exposed(space.scene(point), gains)
     solved = time.monotonic()
-    known = _known(found, options)
+    proof = _evidence(found, options)
+    known = uncertainty(proof, found.minimum.point)
     error = _error(drawn, pixels, point, gains)
     parameters = account.parameters(scene, space, known, lambda n: found.pinned.get(n) or _unsearched(n, options))
     seconds = {"solve": solved - began, "errors": time.monotonic() - solved}
-    return Solved(space, found.minimum, found.pinned, scene, error, known, parameters, seconds)
+    return Solved(space, found.minimum, found.pinned, scene, error, proof, known, parameters, seconds)
 
 
-def _check(pixels: Pixels) -> None:
+def check_sky(pixels: Pixels) -> None:
+    """Do nothing where a fit has pixels to look at.
+
+    Raises:
+        InputError: when they are too few, or black.
+    """
     count = int(pixels.used.sum())
     if count < 30:
         raise InputError(f"only {count} usable pixels of sky are left; give --mask with white where the sky is")
@@ -226,8 +233,8 @@ def _stages(home: Scene, pixels: Pixels, options: Options, late: tuple[str, ...]
         left = None if options.seconds is None else max(options.seconds - (time.monotonic() - began), 0.0)
         return minimise(objective, start, replace(budget, seconds=left, seed=options.seed))
 
-    few = _sample(pixels, stratified(pixels, COARSE_PIXELS, options.seed))
-    many = _sample(pixels, stratified(pixels, FINE_PIXELS, options.seed + 1))
+    few = sample(pixels, stratified(pixels, COARSE_PIXELS, options.seed))
+    many = sample(pixels, stratified(pixels, FINE_PIXELS, options.seed + 1))
     tried = []
     for start in hidden_sun.starts(home) if late else [home]:
         space = _space(options, start)
@@ -275,14 +282,15 @@ def _reselected(
     return widened(replace(objective, space=kept), pool, len(space.free)), pinned
 
 
-def _known(found: _Found, options: Options) -> Uncertainty:
-    """How well coordinates are determined, whatever is held without being known; all is where a scene was given."""
+def _evidence(found: _Found, options: Options) -> Evidence:
+    """What the photo says, whatever is held without being known; all is where a scene was given."""
     unknown = (*SEARCHED, *POOL) if options.start is None else ()
     held = [name for name in unknown if name not in found.objective.space.free and name not in options.fixed]
-    return uncertainty(evidence(found.objective, found.minimum, held), found.minimum.point)
+    return evidence(found.objective, found.minimum, held)
 
 
-def _sample(pixels: Pixels, chosen: Tensor) -> Sample:
+def sample(pixels: Pixels, chosen: Tensor) -> Sample:
+    """Some of the used pixels, by their indices among them."""
     radiance = pixels.radiance[pixels.used][chosen].double()
     direction = pixels.direction[pixels.used][chosen].double()
     return Sample(direction, torch.log(radiance + pixels.floor), pixels.floor)
@@ -300,11 +308,17 @@ def _geometry(space: SearchSpace, size: sky.Size) -> Callable[[Scene], sky.Geome
     return lambda _: kept
 
 
-def _closed_form_gains(
-    drawn: SkyObjective, pixels: Pixels, chosen: Tensor, point: Float[Tensor, " n"]
-) -> Float[Tensor, "3"]:
+def compared(scene: Scene, some: Sample) -> tuple[Float[Tensor, "3"], float]:
+    """Gain of each channel at which a scene is most like some pixels, and the error E3 over them then."""
+    space = SearchSpace(scene, ())
+    drawn, nowhere = SkyObjective(space, some, _geometry(space, sky.Size())), torch.zeros(0, dtype=torch.float64)
+    gains = _closed_form_gains(drawn, some, nowhere)
+    difference = torch.log(gains * drawn.radiance(nowhere) + some.floor) - some.log_radiance
+    return gains, float(difference.square().mean())
+
+
+def _closed_form_gains(drawn: SkyObjective, some: Sample, point: Float[Tensor, " n"]) -> Float[Tensor, "3"]:
     """Gain of each channel that makes the mean square of log differences least over some pixels."""
-    some = _sample(pixels, chosen)
     model = replace(drawn, sample=some).radiance(point)
     log_gain = (some.log_radiance - torch.log(model)).mean(0)
     for _ in range(2):
@@ -318,7 +332,7 @@ def _closed_form_gains(
 
 def _error(drawn: SkyObjective, pixels: Pixels, point: Float[Tensor, " n"], gains: Float[Tensor, "3"]) -> float:
     """Mean square of the difference of log radiance over all used pixels."""
-    whole = _sample(pixels, torch.arange(int(pixels.used.sum())))
+    whole = sample(pixels, torch.arange(int(pixels.used.sum())))
     weight = pixels.solid_angle[pixels.used].double()
     difference = torch.log(gains * replace(drawn, sample=whole).radiance(point) + whole.floor) - whole.log_radiance
     return float((weight[:, None] * difference.square()).sum() / (3.0 * weight.sum()))

@@ -82,7 +82,8 @@ def uncertainty(evidence: Evidence, point: Float64[np.ndarray, " k"]) -> Uncerta
     are not determined. They stay free in the errors of the others: the face may be the noise's doing.
     """
     why = reasons(evidence.slopes.reshape(-1, point.size), point, NEAR_BOUND)
-    covariance, resolution = _covariance(evidence)
+    parts = covariances(evidence)
+    covariance, resolution = parts.noise + parts.held, parts.resolution
     error = np.sqrt(np.maximum(covariance.diagonal(), 0.0))
     for index in unexplained(why):
         if error[index] > WIDEST or resolution[index] < LEAST_RESOLUTION:
@@ -126,11 +127,23 @@ def _collinear(slopes: Float64[np.ndarray, "m n"], kept: list[int]) -> int | Non
     return int(np.abs(directions[-1]).argmax()) if spread[-1] < COLLINEAR else None
 
 
-def _covariance(evidence: Evidence) -> tuple[Float64[np.ndarray, "k k"], Float64[np.ndarray, " k"]]:
-    """Mean square of the distance between estimate and truth, to first order in slopes; and the estimate's resolution.
+@dataclass(frozen=True)
+class Covariances:
+    """Mean square of the distance between estimate and truth in the unit cube, to first order in slopes, by its cause.
 
-    That is the share of a small change of the truth that the estimate follows, the rest being the prior's [2].
+    Attributes:
+        noise: the photo's own, and the pull of the prior: another photo of the same air has another.
+        held: what is held still and not known, which all photos of a day have in common.
+        resolution: share of a small change of the truth that the estimate follows, the rest being the prior's [2].
     """
+
+    noise: Float64[np.ndarray, "k k"]
+    held: Float64[np.ndarray, "k k"]
+    resolution: Float64[np.ndarray, " k"]
+
+
+def covariances(evidence: Evidence) -> Covariances:
+    """Of all searched coordinates, those that the photo does not determine among them."""
     flat = evidence.slopes.reshape(-1, evidence.slopes.shape[2])
     ridge = (PRIOR_WEIGHT / evidence.spread) ** 2
     bread = np.linalg.inv(flat.T @ flat + np.diag(ridge))
@@ -138,4 +151,5 @@ def _covariance(evidence: Evidence) -> tuple[Float64[np.ndarray, "k k"], Float64
     # Of centre less and plus a deviation, each counts half.
     held = evidence.changes.reshape(len(evidence.changes), flat.shape[0]) @ flat
     own = np.diag((ridge * evidence.spread) ** 2)
-    return bread @ (noise + 0.5 * held.T @ held + own) @ bread, 1.0 - bread.diagonal() * ridge
+    resolution = 1.0 - bread.diagonal() * ridge
+    return Covariances(bread @ (noise + own) @ bread, bread @ (0.5 * held.T @ held) @ bread, resolution)
