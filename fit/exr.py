@@ -102,6 +102,16 @@ def read(path: Path) -> Picture:
     )
 
 
+def read_header(path: Path) -> Header:
+    """Attributes of the part that `read` would read, without its pixels.
+
+    Raises:
+        InputError: when there is none, when the file is damaged, or when it is too large.
+    """
+    headers = _headers(path)
+    return headers[_chosen(path, headers)]
+
+
 def read_channel(path: Path, names: Sequence[str]) -> Float[np.ndarray, "height width"]:
     """The first of some channels that a flat part of a file has, in float; NaN where its data window does not reach.
 

@@ -136,6 +136,18 @@ def read_picture(path: Path) -> exr.Picture:
     raise _no_hdr(path, first)
 
 
+def capture(path: Path) -> Mapping[str, object]:
+    """What a file says of its shot, as in `Photo.header`, without reading its pixels.
+
+    Raises:
+        InputError: when the file is neither OpenEXR nor Radiance.
+    """
+    first = exr.first_bytes(path)
+    if not first.startswith((exr.MAGIC, RADIANCE_MAGIC)):
+        raise _no_hdr(path, first)
+    return _capture(exr.read_header(path) if first.startswith(exr.MAGIC) else {})[0]
+
+
 def _check_options(projection: str | None, field_of_view: float | None, pitch: float) -> None:
     if projection is not None and projection not in PROJECTIONS:
         raise InputError(f"--projection {projection} is unknown; allowed are {', '.join(PROJECTIONS)}")
