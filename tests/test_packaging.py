@@ -24,7 +24,7 @@ RUNTIME = [Requirement(line) for line in PROJECT["dependencies"]]
 EXTRAS = {name: [Requirement(line) for line in lines] for name, lines in PROJECT["optional-dependencies"].items()}
 
 # Dependencies that come with a later kind of effect or fit; whoever first imports one takes it off this list.
-AWAITED = {"joblib", "kornia"}
+AWAITED = {"kornia"}
 # What pvlib takes and gives are pandas' tables, so it brings pandas by contract.
 BROUGHT = {"pandas"}
 # Packages whose module has another name.
@@ -140,11 +140,12 @@ def test_every_runtime_dependency_is_imported():
 
 
 def test_every_import_of_the_packages_is_a_runtime_dependency():
-    assert imported("diffrender", "fit") - named(RUNTIME) == BROUGHT
+    # What an extra brings is imported where its option is given.
+    assert imported("diffrender", "fit") - named(RUNTIME) == BROUGHT | named(EXTRAS["cluster"])
 
 
 def test_every_import_of_tests_and_experiments_is_a_dependency():
-    declared = named(RUNTIME + EXTRAS["test"] + EXTRAS["experiments"])
+    declared = named(RUNTIME + EXTRAS["test"] + EXTRAS["experiments"] + EXTRAS["cluster"])
     assert imported("tests", "experiments") - declared <= {"packaging"}  # which comes with pytest
 
 
