@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from fit import terminal
+from fit import day_command, terminal
 from fit.input_error import InputError
 
 if TYPE_CHECKING:
@@ -275,12 +275,16 @@ def render(
     from fit import keyframes, options, picture, weather_file
     from fit import sun as sun_place
     from fit import tables as stored
+    from fit.shot import sun_of_weather
 
     _use_threads()
     camera = options.camera(size, projection, fov, pitch)
     shot = _shot(latitude, longitude, time, heading)
     place = sun_place.given(sun) if sun is not None else shot.sun()
-    values = keyframes.at(weather_file.read(weather), hour)
+    day = weather_file.read(weather)
+    values = keyframes.at(day, hour)
+    if place is None and not {"SUN_ELEVATION", "SUN_AZIMUTH"} & values.keys():
+        place = sun_of_weather(day.header, hour)
     if place is not None:
         values |= {"SUN_ELEVATION": place.elevation, "SUN_AZIMUTH": place.azimuth}
     scene = options.with_sky(keyframes.scene(values), weather)
@@ -329,6 +333,9 @@ def tables(
         files.save(out, made.tables, made.origin)
     if not quiet:
         terminal.say(f"{made.summary}\nwritten to {out}")
+
+
+app.command("day")(day_command.day)
 
 
 def _shot(latitude: float | None, longitude: float | None, time: str | None, heading: float | None) -> "Shot":

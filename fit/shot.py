@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from datetime import datetime
+from datetime import datetime, timedelta
 
 from fit import sun
 from fit.input_error import InputError
@@ -74,3 +74,23 @@ class Shot:
         if self.heading is not None:
             found["heading"] = f"{self.heading:.7g}"
         return found
+
+
+def sun_of_weather(header: Mapping[str, str], hour: float) -> SunPlace | None:
+    """Sun at an hour by a weather file's header; None where it does not name place, date and zone.
+
+    Raises:
+        InputError: when it names them in a way that cannot be understood.
+    """
+    wanted = ("latitude", "longitude", "date", "zone")
+    if any(name not in header for name in wanted):
+        return None
+    said = ", ".join(f"{name}: {header[name]}" for name in wanted)
+    try:
+        midnight = datetime.fromisoformat(f"{header['date']}T00:00{header['zone']}")
+        latitude, longitude, heading = (float(header.get(name, "0")) for name in ("latitude", "longitude", "heading"))
+    except ValueError:
+        raise InputError(
+            f"the weather file's header says {said}; give degrees, a date such as 2016-08-14 and a zone such as +02:00"
+        ) from None
+    return sun.from_place(latitude, longitude, midnight + timedelta(hours=hour), heading % 360.0)

@@ -1,0 +1,260 @@
+"""`fit day`: photos of a day, each fitted for itself, then all of them together, as one weather file of few keyframes.
+
+What is common to a day is air, haze and clouds, which change slowly: their curves follow all photos, through clouds and
+gaps. What each photo has of its own is its exposure and white balance: these are found at the curves' values, and their
+curves follow them as far as they follow each other.
+"""
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import BrokenExecutor
+from dataclasses import dataclass
+from datetime import datetime
+from pathlib import Path
+from typing import Any
+
+import joblib
+import numpy as np
+import torch
+
+from diffrender.scene import Scene, weather_names
+from fit import account, day_parts, day_times, keyframes, priors, sky
+from fit.day_curves import Curves, Observation, curves, spoken_of
+from fit.day_keyframes import Keyframes, fewest
+from fit.day_photo import THREADS, Asked, Estimate, fitted, of_text
+from fit.input_error import InputError
+from fit.search_space import SearchSpace
+from fit.selection import PATCHES
+from fit.solvers import solver
+
+LEAST_PHOTOS = 3  # that speak of a parameter, for it to have a curve
+GAINS = ("EXPOSURE", "SUN_IRRADIANCE_R", "SUN_IRRADIANCE_G", "SUN_IRRADIANCE_B")
+STOP = math.log(2.0)  # deviation of the prior of a gain's logarithm
+
+Tell = Callable[[int, int], None]
+
+
+def quietly(done: int, whole: int) -> None:
+    """Tell nobody how many photos of how many are fitted."""
+
+
+@dataclass(frozen=True)
+class Options:
+    """What may be asked of a day.
+
+    Attributes:
+        asked: of each photo.
+        times: of photos by their file names, before what they say themselves.
+        parts: folder where fitted photos are kept.
+        resume: whether photos that an earlier run has kept there are not fitted again.
+        jobs: photos at a time; -1 for as many as there are processors.
+    """
+
+    asked: Asked
+    parts: Path
+    times: Mapping[str, datetime]
+    resume: bool = False
+    jobs: int = -1
+
+
+@dataclass(frozen=True)
+class Judged:
+    """A photo against the day's curves: gains under an irradiance of 1, and mean square error of log radiance."""
+
+    gains: tuple[float, float, float]
+    error: float
+
+
+@dataclass(frozen=True)
+class Day:
+    """What a day's photos say.
+
+    Attributes:
+        times: of the photos, in the order of the hour.
+        estimates: of each photo.
+        judged: each photo at the curves' values; None where it was refused.
+        air: curves of air, haze and clouds.
+        gains: curves of exposure and the sun's colour.
+        keyframes: of every name that has a curve, in the unit cube.
+        held: variance of each name of `air` that all photos have in common, in the unit cube.
+        home: scene of what has no curve.
+    """
+
+    asked: Asked
+    times: tuple[datetime, ...]
+    estimates: tuple[Estimate, ...]
+    judged: tuple[Judged | None, ...]
+    air: Curves
+    gains: Curves
+    keyframes: Mapping[str, Keyframes]
+    held: Mapping[str, float]
+    home: Scene
+
+    def used(self) -> list[int]:
+        """Indices of the photos that were not refused."""
+        return [index for index, one in enumerate(self.estimates) if not one.refused]
+
+
+def fit(photos: Sequence[Path], options: Options, tell: Tell = quietly) -> Day:
+    """Day of some photos.
+
+    Raises:
+        InputError: when a photo cannot be read, has no time, or none can be used.
+    """
+    torch.set_num_threads(THREADS)
+    solver(options.asked.solver)  # whose name is asked for before any photo is read
+    _check_names(photos)
+    times = day_times.of_photos(photos, options.times)
+    zone = times[0].tzinfo
+    order = sorted(range(len(photos)), key=lambda index: (hour(times[index].astimezone(zone)), photos[index].name))
+    photos, times = [photos[i].absolute() for i in order], [times[i].astimezone(zone) for i in order]
+    estimates = [of_text(text) for text in _texts(photos, times, options, tell)]
+    return together(estimates, times, options)
+
+
+def hour(time: datetime) -> float:
+    """Hour of a local day."""
+    return time.hour + time.minute / 60.0 + time.second / 3600.0
+
+
+def _check_names(photos: Sequence[Path]) -> None:
+    names = [path.name for path in photos]
+    doubled = next((name for name in names if names.count(name) > 1), None)
+    if doubled is not None:
+        raise InputError(f"two photos are named {doubled}; rename one of them, or give it once")
+
+
+def _texts(photos: Sequence[Path], times: Sequence[datetime], options: Options, tell: Tell) -> list[str]:
+    """What each photo says; each is kept as soon as it is known."""
+    places = [day_parts.place(options.parts, *one, options.asked) for one in zip(photos, times, strict=True)]
+    day_parts.clear(options.parts, places if options.resume else [])
+    texts = {place: text for place in places if (text := day_parts.found(place)) is not None}
+    tasks = [
+        (str(place), photo, time, options.asked)
+        for place, photo, time in zip(places, photos, times, strict=True)
+        if place not in texts
+    ]
+    tell(len(texts), len(places))
+    for name, text in _each(_one, tasks, options.jobs):
+        day_parts.keep(Path(name), text)
+        texts[Path(name)] = text
+        tell(len(texts), len(places))
+    return [texts[place] for place in places]
+
+
+def _one(name: str, photo: Path, time: datetime, asked: Asked) -> tuple[str, str]:
+    return name, fitted(photo, time, asked)
+
+
+def _each(work: Callable[..., Any], tasks: Sequence[Sequence[Any]], jobs: int) -> Any:
+    """Results in the order in which they come; on the backend that joblib is set to."""
+    parallel = joblib.Parallel(n_jobs=min(jobs, len(tasks)) or 1, return_as="generator_unordered", batch_size=1)
+    try:
+        yield from parallel(joblib.delayed(work)(*task) for task in tasks)
+    except BrokenExecutor as error:
+        raise InputError(
+            "a process that fitted a photo was ended from outside, perhaps for want of memory; run again with --resume "
+            "and fewer --jobs"
+        ) from error
+
+
+# Together
+
+
+def together(estimates: Sequence[Estimate], times: Sequence[datetime], options: Options) -> Day:
+    """Joint fit of photos in the order of the hour.
+
+    Raises:
+        InputError: when none of them can be used.
+    """
+    used = [index for index, one in enumerate(estimates) if not one.refused]
+    doubtful = [place for place, index in enumerate(used) if estimates[index].is_doubtful]
+    if not used:
+        raise InputError(f"none of {len(estimates)} photos can be used; of the first: {estimates[0].refused}")
+    if len(doubtful) == len(used):
+        one = estimates[used[0]]
+        raise InputError(
+            f"the sun of {one.photo} stands {one.off:.3g} degrees from where place and time put it, and so in every "
+            "photo; check --latitude, --longitude, --heading and the times with their zones"
+        )
+    hours = [hour(times[index]) for index in used]
+    home = keyframes.scene({"SKY_OVERCAST": 0.0}, torch.float64)
+    spoken = [_spoken(estimates[index], at) for index, at in zip(used, hours, strict=True)]
+    names = spoken_of(spoken, min(LEAST_PHOTOS, len(used) - len(doubtful)))
+    spread = dict(zip(names, map(float, priors.in_unit_cube(names).spread), strict=True))
+    air = curves(spoken, spread, doubtful)
+    keys = fewest(air, len(used))
+    tasks = [
+        (place, values_at(home, keys, at) | _sun(estimates[index], options.asked.bearing), estimates[index])
+        for place, (index, at) in enumerate(zip(used, hours, strict=True))
+    ]
+    found = dict(_each(_judged, tasks, options.jobs))
+    judged = [found[place] for place in range(len(used))]
+    gains = curves(
+        [_gained(one, at) for one, at in zip(judged, hours, strict=True)],
+        {name: STOP / _span(name) for name in GAINS},
+        doubtful,
+    )
+    every: list[Judged | None] = [None] * len(estimates)
+    for place, index in enumerate(used):
+        every[index] = judged[place]
+    return Day(
+        asked=options.asked,
+        times=tuple(times),
+        estimates=tuple(estimates),
+        judged=tuple(every),
+        air=air,
+        gains=gains,
+        keyframes=keys | fewest(gains, len(used)),
+        held={name: _held(name, [estimates[index] for index in used]) for name in names},
+        home=home,
+    )
+
+
+def _spoken(one: Estimate, at: float) -> Observation:
+    assert one.point is not None
+    assert one.noise is not None
+    return Observation(at, one.names, one.point, one.noise)
+
+
+def values_at(home: Scene, keys: Mapping[str, Keyframes], at: float) -> dict[str, float]:
+    """Values of a scene at an hour, in files' units: of curves by their keyframes, of all else as at home."""
+    point = torch.tensor([float(np.clip(keys[name].at([at])[0], 0.0, 1.0)) for name in keys], dtype=torch.float64)
+    return keyframes.values(SearchSpace(home, tuple(keys)).scene(point))
+
+
+def _sun(one: Estimate, middle: float) -> dict[str, float]:
+    """Sun by place and time, in a picture whose middle column has a bearing."""
+    return {"SUN_ELEVATION": one.elevation, "SUN_AZIMUTH": (one.bearing - middle + 180.0) % 360.0 - 180.0}
+
+
+def _judged(place: int, values: Mapping[str, float], one: Estimate) -> tuple[int, Judged]:
+    torch.set_num_threads(THREADS)
+    ones = dict.fromkeys(GAINS, 1.0)
+    gains, error = sky.compared(keyframes.scene({**values, **ones}, torch.float64), one.sample())
+    red, green, blue = map(float, gains)
+    return place, Judged((red, green, blue), error)
+
+
+def _gained(one: Judged, at: float) -> Observation:
+    """What a photo's gains say of exposure and sun; the mean of so many patches of sky has its error."""
+    exposed = account.exposed(keyframes.scene({}, torch.float64), torch.tensor(one.gains, dtype=torch.float64))
+    spans = np.array([_span(name) for name in GAINS])
+    point = SearchSpace(exposed, GAINS).point(exposed)
+    return Observation(at, GAINS, point, np.diag(one.error / PATCHES / spans**2))
+
+
+def _span(name: str) -> float:
+    """Of a log parameter's bounds."""
+    low, high = weather_names()[name].bounds
+    return math.log(high / low)
+
+
+def _held(name: str, estimates: Sequence[Estimate]) -> float:
+    """Median over the photos that speak of a name of the variance that they have in common."""
+    found = [
+        float(one.held[one.names.index(name), one.names.index(name)])
+        for one in estimates
+        if name in one.names and one.held is not None
+    ]
+    return float(np.median(found))
