@@ -263,3 +263,24 @@ def fog_fits(path: Path) -> None:
         panel.set_xticks(range(len(scenes)), scenes)
         panel.set(title=f"{way[0]}, {'with' if way[1] else 'without'} clear", ylabel=f"error of {name} [%]")
     figure.savefig(path.with_suffix(".png"), dpi=120)
+
+
+def day_panoramas(path: Path) -> None:
+    """Curves of a day with their intervals, each photo's own estimate, and what clean panoramas give."""
+    content = json.loads(path.read_text(encoding="utf-8"))
+    names = [row["name"] for row in content["records"]]
+    figure = Figure(figsize=(10.0, 2.4 * max(len(names), 1)), layout="constrained")
+    for axes, name in zip(figure.subplots(max(len(names), 1), squeeze=False)[:, 0], names, strict=False):
+        curve = content["curves"][name]
+        axes.fill_between(curve["hours"], curve["low"], curve["high"], alpha=0.25, label="curve ± standard error")
+        axes.plot(curve["hours"], curve["values"])
+        axes.plot(curve["keyframes"]["hours"], curve["keyframes"]["values"], "o", mfc="none", label="keyframes")
+        for hour, value, weight in content["estimates"][name]:
+            axes.plot(hour, value, ".", color="black", alpha=max(weight, 0.2))
+        axes.plot(*np.transpose(content["truth"][name]), "x", color="red", label="clean panoramas")
+        axes.set(ylabel=name, yscale="log" if name.endswith("SCALE") else "linear")
+        axes.tick_params(labelsize="small")
+        axes.yaxis.label.set_size("small")
+    figure.axes[0].legend(ncols=3, fontsize="small")
+    figure.axes[-1].set_xlabel("hour")
+    figure.savefig(path.with_suffix(".png"), dpi=100)
