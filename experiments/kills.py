@@ -70,8 +70,7 @@ class Runs:
 
     def start(self, out: Path) -> subprocess.Popen[bytes]:
         """A process that has begun."""
-        alone = os.environ | {"OMP_NUM_THREADS": "1"}
-        return subprocess.Popen([*self._command, "--out", str(out)], env=alone, stderr=subprocess.DEVNULL)
+        return start([*self._command, "--out", str(out)])
 
     def pace(self, out: Path) -> Pace:
         """Of a run that ends by itself."""
@@ -101,6 +100,12 @@ class Runs:
         if had_results and len(present) != len(FILES):
             wrong.append("a file of an earlier run is lost")
         return Kill(while_writing, delay, had_results, status, len(present), len(left) - len(present), tuple(wrong))
+
+
+def start(command: Sequence[str]) -> subprocess.Popen[bytes]:
+    """A command that has begun, in a group of processes of its own."""
+    alone = os.environ | {"OMP_NUM_THREADS": "1"}
+    return subprocess.Popen(command, env=alone, stderr=subprocess.DEVNULL, start_new_session=True)
 
 
 def _seen(process: subprocess.Popen[bytes], out: Path, *, is_aside: bool) -> float:
