@@ -27,7 +27,6 @@ from fit.search_space import SearchSpace
 from fit.selection import PATCHES
 from fit.solvers import solver
 
-LEAST_PHOTOS = 3  # that speak of a parameter, for it to have a curve
 GAINS = ("EXPOSURE", "SUN_IRRADIANCE_R", "SUN_IRRADIANCE_G", "SUN_IRRADIANCE_B")
 STOP = math.log(2.0)  # deviation of the prior of a gain's logarithm
 
@@ -180,7 +179,7 @@ def together(estimates: Sequence[Estimate], times: Sequence[datetime], options: 
     hours = [hour(times[index]) for index in used]
     home = keyframes.scene({"SKY_OVERCAST": 0.0}, torch.float64)
     spoken = [_spoken(estimates[index], at) for index, at in zip(used, hours, strict=True)]
-    names = spoken_of(spoken, min(LEAST_PHOTOS, len(used) - len(doubtful)))
+    names = _with_curves([one for place, one in enumerate(spoken) if place not in doubtful])
     spread = dict(zip(names, map(float, priors.in_unit_cube(names).spread), strict=True))
     air = curves(spoken, spread, doubtful)
     keys = fewest(air, len(used))
@@ -209,6 +208,15 @@ def together(estimates: Sequence[Estimate], times: Sequence[datetime], options: 
         held={name: _held(name, [estimates[index] for index in used]) for name in names},
         home=home,
     )
+
+
+def _with_curves(spoken: Sequence[Observation]) -> list[str]:
+    """Names that have curves: those that every photo was asked for, and of the others what most photos speak of.
+
+    The rest of the photos were fitted with the default of the others.
+    """
+    most = spoken_of(spoken, len(spoken) // 2 + 1)
+    return [name for name in spoken_of(spoken, 1) if name in sky.SEARCHED or name in most]
 
 
 def _spoken(one: Estimate, at: float) -> Observation:
