@@ -39,7 +39,7 @@ class Size:
     jobs: int
 
 
-SIZES = {"small": Size(2, 2, 64, 1), "full": Size(20, 4, 64, 2)}
+SIZES = {"small": Size(2, 2, 64, 1), "full": Size(20, 6, 64, 1)}
 
 
 @dataclass(frozen=True)

@@ -123,8 +123,9 @@ def _scaled(value: float, specification: Specification) -> float:
 
 def _scores(found: Mapping[str, Any]) -> dict[str, object]:
     """Places of the cross-validation's plot: mean of minus log density against the strength, both as they are tried."""
-    strengths, scores = found["strengths"], found["scores"]
-    low, high = min([*scores, found["chosen"]]), max(scores)
+    strengths: Sequence[float] = found["strengths"]
+    scores: Sequence[float] = found["scores"]
+    low, high = float(min([*scores, found["chosen"]])), max(scores)
     span = (high - low) or 1.0
     first, last = math.log(strengths[0]), math.log(strengths[-1])
 

@@ -27,6 +27,8 @@ from fit.solution import SunPlace
 LEAST_TOLERANCE = 2.0  # degrees between seen and computed sun from which a photo is doubtful
 SIGMAS = 3.0
 LEAST_ERROR = 0.1  # degrees: a panorama's seam and level are not known better
+FINEST = 5.0  # degrees between the last pitches that are tried
+MOST_OF_SKY = 0.9  # of the sky that shows at the pitch where most of it does
 PITCHES = range(-20, 61, 10)  # degrees, of the search without a disc
 AZIMUTHS = (0.0, 90.0, -180.0, -90.0)  # of the sun to the right of the middle, from which it is searched
 
@@ -146,19 +148,22 @@ def _by_disc(photo: Photo, found: SunPlace, computed: SunPlace, turned: Turned) 
 def _by_sky(photo: Photo, computed: SunPlace, turned: Turned, options: Options) -> View:
     """View of a camera whose pitch, and heading, make the fitted sky most like the photo's."""
     options = replace(options, free=() if turned.heading is not None else ("SUN_AZIMUTH",))
-    tried = list(_tried(photo, computed, turned, options))
-    if not tried:
+    every = list(_tried(photo, computed, turned, options))
+    if not every:
         raise InputError(f"{photo.path} shows no sky at any pitch; give --pitch and --mask")
+    # Sky is not below the horizon: a pitch that puts some of it there fits the rest the better, and is wrong.
+    most = max(one.pixels for one in every)
+    tried = [one for one in every if one.pixels >= MOST_OF_SKY * most]
     best = min(tried, key=lambda one: one.error)
-    fine = [trial for step in (-5.0, 5.0) for trial in _trial(photo, best.pitch + step, (best.place,), options)]
+    fine = [trial for step in (-FINEST, FINEST) for trial in _trial(photo, best.pitch + step, (best.place,), options)]
+    fine = [one for one in fine if one.pixels >= MOST_OF_SKY * most]
     best, *others = sorted([*tried, *fine], key=lambda one: one.error)
-    # A parabola through the likeliest three pitches: its curvature is the pitch's information.
-    pitch, error = best.pitch, 5.0
+    # A parabola from the best pitch to the likeliest beside it: its curvature is the pitch's information.
+    pitch, error = best.pitch, FINEST
     beside = [one for one in others if 0.0 < abs(one.pitch - best.pitch) <= 10.0]
-    if len(beside) >= 2:
-        rise = max(min(one.error / best.error - 1.0 for one in beside[:2]), 1e-6)
-        step = min(abs(one.pitch - best.pitch) for one in beside[:2])
-        error = min(step / math.sqrt(rise * PATCHES), 90.0)
+    if beside:
+        rise = max(beside[0].error / best.error - 1.0, 1e-6)
+        error = min(abs(beside[0].pitch - pitch) / math.sqrt(rise * PATCHES), 90.0)
     place = replace(best.place, visible=False)
     return View(
         _tilted(photo, pitch),
@@ -167,7 +172,7 @@ def _by_sky(photo: Photo, computed: SunPlace, turned: Turned, options: Options) 
         max(LEAST_TOLERANCE, SIGMAS * _error(photo)),
         is_searched=turned.heading is None,
         pitch=pitch,
-        pitch_error=max(error, LEAST_ERROR),
+        pitch_error=math.hypot(error, FINEST / math.sqrt(12.0)),
     )
 
 
@@ -176,6 +181,7 @@ class _Trial:
     pitch: float
     place: SunPlace
     error: float
+    pixels: int  # of sky above the horizon
 
 
 def _tried(photo: Photo, computed: SunPlace, turned: Turned, options: Options) -> Iterator[_Trial]:
@@ -199,7 +205,7 @@ def _trial(photo: Photo, pitch: float, starts: Sequence[SunPlace], options: Opti
         for start in starts:
             found = sky.solve(pixels, start, replace(options, sun=start))
             azimuth = found.parameters["SUN_AZIMUTH"].value
-            yield _Trial(pitch, replace(start, azimuth=azimuth), found.error)
+            yield _Trial(pitch, replace(start, azimuth=azimuth), found.error, int(pixels.used.sum()))
     except InputError:
         return
 

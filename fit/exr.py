@@ -80,7 +80,7 @@ def read(path: Path) -> Picture:
     Raises:
         InputError: when there is none, when the file is damaged, or when it is too large.
     """
-    headers = _headers(path)
+    headers = headers_of(path)
     index = _chosen(path, headers)
     header = headers[index]
     whole = _parts(path, header_only=False)
@@ -102,23 +102,13 @@ def read(path: Path) -> Picture:
     )
 
 
-def read_header(path: Path) -> Header:
-    """Attributes of the part that `read` would read, without its pixels.
-
-    Raises:
-        InputError: when there is none, when the file is damaged, or when it is too large.
-    """
-    headers = _headers(path)
-    return headers[_chosen(path, headers)]
-
-
 def read_channel(path: Path, names: Sequence[str]) -> Float[np.ndarray, "height width"]:
     """The first of some channels that a flat part of a file has, in float; NaN where its data window does not reach.
 
     Raises:
         InputError: when there is none, when the file is damaged, or when it is too large.
     """
-    _headers(path)
+    headers_of(path)
     flat = [(header, channels) for header, channels in _parts(path, header_only=False) if header["type"] not in DEEP]
     found = [(header, channels[name]) for header, channels in flat for name in names if name in channels]
     if not found:
@@ -203,8 +193,8 @@ def bands(height: int) -> Iterator[slice]:
     return (slice(top, min(top + BAND, height)) for top in range(0, height, BAND))
 
 
-def _headers(path: Path) -> list[dict[str, Any]]:
-    """Header of each part, after a look at what the file is and how large."""
+def headers_of(path: Path) -> list[dict[str, Any]]:
+    """Header of each part, after a look at what the file is and how large; an InputError where that will not do."""
     if not first_bytes(path).startswith(MAGIC):
         raise InputError(f"{path} is not an OpenEXR file, whatever its name; export it as OpenEXR")
     headers = [header for header, _ in _parts(path, header_only=True)]

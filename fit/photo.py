@@ -6,6 +6,7 @@ Formats are told apart by their first bytes. A picture's projection is the one a
 
 import math
 import re
+from collections import ChainMap
 from collections.abc import Mapping
 from dataclasses import dataclass
 from datetime import datetime, timedelta, timezone
@@ -145,7 +146,8 @@ def capture(path: Path) -> Mapping[str, object]:
     first = exr.first_bytes(path)
     if not first.startswith((exr.MAGIC, RADIANCE_MAGIC)):
         raise _no_hdr(path, first)
-    return _capture(exr.read_header(path) if first.startswith(exr.MAGIC) else {})[0]
+    # Of several parts the first that says something: they are of one shot.
+    return _capture(ChainMap(*exr.headers_of(path)) if first.startswith(exr.MAGIC) else {})[0]
 
 
 def _check_options(projection: str | None, field_of_view: float | None, pitch: float) -> None:
