@@ -24,7 +24,7 @@ from fit.input_error import InputError
 from fit.objective import Sample
 from fit.pixels import stratified
 from fit.selection import NO_LAYER, OF_OVERCAST
-from fit.uncertainty import LEAST_RESOLUTION, NEAR_BOUND, WIDEST, covariances, reasons
+from fit.uncertainty import NEAR_BOUND, NO_INFLUENCE, covariances, reasons
 
 LOWEST_SUN = -6.0  # degrees: below it the sun's light in the sky is less than a town's
 LEANS = ("SKY_OVERCAST_AHEAD", "SKY_OVERCAST_LEFT")
@@ -65,7 +65,7 @@ class Estimate:
         refused: why it is not used; empty where it is, else nothing below but the sun's place is known.
         elevation: of the sun by place and time, degrees.
         bearing: of the sun, on the compass.
-        names: searched parameters that the photo speaks of, those at a bound among them.
+        names: searched parameters that have an influence on the photo, determined or not.
         noise: covariance of what differs from photo to photo.
         held: covariance of what all photos have in common.
         determined: names among them that are determined.
@@ -172,8 +172,9 @@ class _Said:
 def _said(found: sky.Solved, turn: float) -> _Said:
     """What a fit says of its parameters, leans turned by an angle, with the errors that differ from photo to photo.
 
-    What the fit holds still is alike in all photos of a day: it blurs where a curve lies, not how it runs. So a
-    parameter counts as spoken of whatever the error from there.
+    What a photo leaves open is among them: its error is wide, but where it ends decides where the others do. Without
+    it the curves would be off by three times the photos' own errors. What the fit holds still is alike in all photos
+    of a day: it blurs where a curve lies, not how it runs.
     """
     names, point, parts = found.space.free, found.minimum.point, covariances(found.evidence)
     why = reasons(found.evidence.slopes.reshape(-1, point.size), point, NEAR_BOUND)
@@ -181,11 +182,7 @@ def _said(found: sky.Solved, turn: float) -> _Said:
     kept = [
         index
         for index, name in enumerate(names)
-        if (not why[index] or why[index].startswith("at its"))
-        and math.sqrt(parts.noise[index, index]) <= WIDEST
-        and parts.resolution[index] >= LEAST_RESOLUTION
-        and not name.startswith("SUN_")
-        and not (is_cut and name in LEANS)
+        if why[index] != NO_INFLUENCE and not name.startswith("SUN_") and not (is_cut and name in LEANS)
     ]
     chosen = np.ix_(kept, kept)
     spoken = tuple(names[index] for index in kept)
