@@ -125,7 +125,7 @@ def fitted(path: Path, time: datetime, asked: Asked) -> str:
         if asked.mask is None:
             night.refuse(view.photo, view.place)
         return _text(_estimate(view, nothing, options, asked.bearing))
-    except InputError as refused:
+    except (InputError, FloatingPointError) as refused:  # the second where no sky is drawn that is finite
         return _text(replace(nothing, refused=str(refused)))
 
 
