@@ -20,7 +20,8 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Float64, Int64
 
-DAY = 24.0  # hours
+from diffrender.weather.timeline import DAY
+
 CLOSEST = 0.5  # hours between nodes of a curve; photos between them speak for both
 # Drift in deviations of the prior per root of an hour: from a constant to as good as nothing in common.
 STRENGTHS = tuple(float(f"{10.0**power:.3g}") for power in np.linspace(-3.0, 1.0, 13))

@@ -12,12 +12,16 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+import torch
 from jaxtyping import Float64
-from scipy.interpolate import PchipInterpolator
 
-from fit.day_curves import DAY, Curves
+from diffrender.parameters import Specification
+from diffrender.weather.timeline import between
+from fit.day_curves import Curves
 
 Values = Float64[np.ndarray, " t"]
+
+_CUBE = Specification(0.5, bounds=(0.0, 1.0), unit="1", about="place between its bounds, in its own scale")
 
 
 @dataclass(frozen=True)
@@ -29,12 +33,8 @@ class Keyframes:
 
     def at(self, hours: Sequence[float]) -> Values:
         """Values at some hours, as a weather file has them: monotone between keyframes of the cyclic day."""
-        if len(self.hours) == 1:
-            return np.full(len(hours), self.values[0])
-        cyclic = np.concatenate([np.array(self.hours) + shift for shift in (-DAY, 0.0, DAY)])
-        # A difference below 1e-308 has an infinite reciprocal in the mean of the slopes, which is right.
-        with np.errstate(over="ignore"):
-            drawn: Values = PchipInterpolator(cyclic, np.tile(self.values, 3))(np.asarray(hours))
+        known, values, asked = (torch.tensor(one, dtype=torch.float64) for one in (self.hours, self.values, hours))
+        drawn: Values = between(known, values, asked, _CUBE).numpy()
         return drawn
 
 

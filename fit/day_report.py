@@ -5,14 +5,12 @@ Made from nothing but the account that day.json holds.
 
 import math
 from collections.abc import Mapping, Sequence
-from importlib import resources
 from typing import Any
-
-import jinja2
 
 from diffrender.parameters import Specification
 from diffrender.scene import weather_names
-from fit.report import measured, number, visible
+from fit.page import template
+from fit.report import measured, number
 
 WIDTH, HEIGHT = 440.0, 150.0  # of a plot's inside
 MARGIN = 0.08  # of a plot's height above and below what it shows
@@ -21,12 +19,8 @@ CLEAREST = 1e-3  # of the bounds: no plot shows less, so that a constant is a le
 
 def page(account: Mapping[str, Any]) -> str:
     """HTML of the report: needs no other file and no network, and shows whatever text a file's name holds as text."""
-    environment = jinja2.Environment(
-        autoescape=True, undefined=jinja2.StrictUndefined, finalize=visible, trim_blocks=True, lstrip_blocks=True
-    )
-    template = environment.from_string(resources.files("fit").joinpath("day_report.html").read_text("utf-8"))
     photos = account["photos"]
-    return template.render(
+    return template("day_report.html").render(
         account=account,
         photos=photos,
         used=[photo for photo in photos if photo["refused"] is None],

@@ -59,7 +59,7 @@ def test_a_picture_in_grey_is_read_and_one_in_colour_refused(tmp_path):
     grey = save(tmp_path / "grey.exr", dict.fromkeys("RGB", given))
     assert np.array_equal(distance.of(photo(GREY), grey, "euclidean"), given)
     colour = save(tmp_path / "colour.exr", {"R": given, "G": given + 1.0, "B": given})
-    with pytest.raises(InputError, match="colour.exr is a picture in colour; give an OpenEXR of distances"):
+    with pytest.raises(InputError, match=r"colour\.exr is a picture in colour; give an OpenEXR of distances"):
         distance.of(photo(GREY), colour, "euclidean")
 
 
