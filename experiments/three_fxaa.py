@@ -7,14 +7,7 @@ runs on the mirrored picture.
 
 import argparse
 import base64
-import functools
-import http.server
 import json
-import re
-import shutil
-import subprocess
-import tempfile
-import threading
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
@@ -28,14 +21,13 @@ from diffrender.antialiasing.display import shown_srgb
 from diffrender.antialiasing.edges import Search
 from diffrender.antialiasing.settings import AntiAliasing
 from diffrender.parameters import defaults
-from experiments import records
+from experiments import browser, records
 from experiments.aliased_scenes import SCENES, Drifting
 from fit import photo
 
 WIDTH, HEIGHT = 256, 144
 PHOTOS = Path(__file__).parent / "photos"
 PHOTO_NAMES = ("blender_courtyard", "blender_forest")
-BROWSER_SECONDS = 240
 
 STEPS = (1.0, 1.5, 2.0, 2.0, 2.0, 4.0, 8.0)
 LUMA = (0.3, 0.59, 0.11)
@@ -47,7 +39,7 @@ SETTINGS = replace(
 )
 
 PAGE = """<!doctype html><html><body><pre id="out"></pre>
-<script type="importmap">{"imports":{"three":"./build/three.module.js","three/addons/":"./examples/jsm/"}}</script>
+IMPORTS
 <script type="module">
 import * as THREE from 'three';
 import { FXAAPass } from 'three/addons/postprocessing/FXAAPass.js';
@@ -123,7 +115,8 @@ def browser_page(given: Sequence[Tensor]) -> str:
         pixels = np.full((height, width, 4), 255, np.uint8)
         pixels[..., :3] = np.rint(255.0 * picture.flip(0).numpy())
         texts.append(base64.b64encode(pixels.tobytes()).decode())
-    return PAGE.replace("GIVEN", json.dumps({"width": width, "height": height, "pictures": texts}))
+    page = PAGE.replace("IMPORTS", browser.IMPORTS)
+    return page.replace("GIVEN", json.dumps({"width": width, "height": height, "pictures": texts}))
 
 
 def smoothed_by_three(package: Path, given: Sequence[Tensor]) -> tuple[str, list[Tensor]]:
@@ -133,37 +126,10 @@ def smoothed_by_three(package: Path, given: Sequence[Tensor]) -> tuple[str, list
         FileNotFoundError: when there is no Chromium.
         RuntimeError: when the page ends without a result.
     """
-    chromium = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
-    if chromium is None:
-        raise FileNotFoundError("no chromium on PATH; install it")
-    with tempfile.TemporaryDirectory() as folder:
-        for part in ("build", "examples"):
-            (Path(folder) / part).symlink_to((package / part).resolve())
-        (Path(folder) / "page.html").write_text(browser_page(given), encoding="utf-8")
-        handler = functools.partial(Quiet, directory=folder)
-        with http.server.ThreadingHTTPServer(("127.0.0.1", 0), handler) as server:
-            threading.Thread(target=server.serve_forever, daemon=True).start()
-            address = f"http://127.0.0.1:{server.server_port}/page.html"
-            options = ["--headless", "--no-sandbox", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"]
-            options += ["--virtual-time-budget=60000", f"--user-data-dir={folder}/profile", "--dump-dom"]
-            told = subprocess.run(
-                [chromium, *options, address], capture_output=True, text=True, check=False, timeout=BROWSER_SECONDS
-            ).stdout
-            server.shutdown()
-    result = re.search('<pre id="out">({.*?})</pre>', told, re.DOTALL)
-    if result is None:
-        raise RuntimeError(f"the page made nothing of the pictures: {told[-300:]}")
-    found = json.loads(result.group(1))
+    found = browser.result(package, {"page.html": browser_page(given)})
     height, width = given[0].shape[:2]
     drawn = [torch.tensor(one, dtype=torch.float64).reshape(height, width, 4) / 65535.0 for one in found["drawn"]]
     return found["version"], [one[..., :3].flip(0) for one in drawn]
-
-
-class Quiet(http.server.SimpleHTTPRequestHandler):
-    """Server of a folder that logs nothing."""
-
-    def log_message(self, *_: object) -> None:
-        """Nothing."""
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
