@@ -266,12 +266,17 @@ def _clear(sky: Sky, view: SkyView, found: Tensor) -> Float[Tensor, "*batch 3"]:
 def phases(sky: Sky, view: SkyView) -> tuple[Float[Tensor, "*batch 1"], Float[Tensor, "*batch 3"]]:
     """Phase functions of air and of haze, fine and coarse mixed, between the sun and each direction [1/sr]."""
     chord = chord_square(view)
-    ratio = torch.log(sky.haziness.new_tensor(scattering.WAVELENGTH) / scattering.WAVELENGTH[1])
-    fine, coarse = _haze_parts(sky, ratio)
     fine_phase = scattering.cornette_shanks(chord, sky.haziness)
     coarse_phase = scattering.cornette_shanks(chord, sky.coarse_haziness)
-    haze_phase = torch.lerp(fine_phase[..., None], coarse_phase[..., None], coarse / (fine + coarse))
+    haze_phase = torch.lerp(fine_phase[..., None], coarse_phase[..., None], coarse_share(sky))
     return scattering.rayleigh_phase(chord)[..., None], haze_phase
+
+
+def coarse_share(sky: Sky) -> Float[Tensor, "3"]:
+    """Share of the haze's extinction that is the large particles', by channel."""
+    ratio = torch.log(sky.haziness.new_tensor(scattering.WAVELENGTH) / scattering.WAVELENGTH[1])
+    fine, coarse = _haze_parts(sky, ratio)
+    return coarse / (fine + coarse)
 
 
 def overcast_share(sky: Sky, direction: Float[Tensor, "*batch 3"]) -> Float[Tensor, "*batch"]:

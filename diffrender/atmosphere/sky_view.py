@@ -11,7 +11,7 @@ from diffrender.numerics import safe_sqrt
 from diffrender.parameters import record
 from diffrender.rays import from_angles
 
-_ROW_SCALE = 0.05  # share of the way to the zenith over which the rows of tables are dense above the horizon
+ROW_SCALE = 0.05  # share of the way to the zenith over which the rows of tables are dense above the horizon
 
 _UP, _ROUND = 32, 12  # directions from the horizon to the zenith, and round half of the sky
 
@@ -51,7 +51,7 @@ def cos_azimuth(view: SkyView) -> Float[Tensor, "*batch"]:
 
 def row_elevations(eye_altitude: Float[Tensor, ""], rows: int) -> Float[Tensor, " rows"]:
     """Elevations of a table's rows [rad], from the ground's edge to the zenith, dense above that edge."""
-    rise = _ROW_SCALE * torch.expm1(torch.linspace(0.0, math.log1p(1.0 / _ROW_SCALE), rows).to(eye_altitude))
+    rise = ROW_SCALE * torch.expm1(torch.linspace(0.0, math.log1p(1.0 / ROW_SCALE), rows).to(eye_altitude))
     lowest = horizon(eye_altitude)
     # A thousandth of a degree above the ground's edge, where rays still leave for space.
     return lowest + 2e-5 + (math.pi / 2.0 - 2e-5 - lowest) * rise
@@ -62,7 +62,7 @@ def row(view: SkyView, rows: int) -> Float[Tensor, "*batch"]:
     lowest = horizon(view.eye_altitude)
     above = (elevation(view.direction) - lowest) / (math.pi / 2.0 - lowest)
     # Half the smallest step below the horizon, so that the logarithm stays finite where the picture is black.
-    return torch.log1p(torch.clamp(above, min=-0.02) / _ROW_SCALE) / math.log1p(1.0 / _ROW_SCALE) * (rows - 1)
+    return torch.log1p(torch.clamp(above, min=-0.02) / ROW_SCALE) / math.log1p(1.0 / ROW_SCALE) * (rows - 1)
 
 
 def upper_half(view: SkyView) -> tuple[SkyView, Float[Tensor, "rows columns 1"]]:
