@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from fit import day_command, terminal
+from fit import day_command, export_command, terminal
 from fit.input_error import InputError
 
 if TYPE_CHECKING:
@@ -336,6 +336,7 @@ def tables(
 
 
 app.command("day")(day_command.day)
+app.command("export")(export_command.export)
 
 
 def _shot(latitude: float | None, longitude: float | None, time: str | None, heading: float | None) -> "Shot":
