@@ -18,6 +18,8 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from diffrender.numerics import safe_sqrt
+
 # Scattering at the ground by channel [1/m]: of the air, and of haze over turbidity and mieCoefficient [1].
 _RAYLEIGH = (5.804542996261093e-6, 1.3562911419845635e-5, 3.0265902468824876e-5)
 _MIE = tuple(0.434 * 0.2 * 10e-18 * constant for constant in (1.8399918514433978e14, 2.7798023919660528e14,
@@ -50,6 +52,7 @@ GODOT_DIALS = (
     *(Dial(f"rayleigh_color_{c}", v, 0.01, 1.0) for c, v in zip("rgb", (0.3, 0.405, 0.6), strict=True)),
     *(Dial(f"mie_color_{c}", v, 0.01, 1.0) for c, v in zip("rgb", (0.69, 0.729, 0.812), strict=True)),
 )
+_DARKEST = 1e-30  # radiance, before Godot's root
 GODOT_TURBIDITY = 10.0  # only its product with mie_coefficient shows
 
 Formula = Callable[[Float[Tensor, " dials"], Float[Tensor, "n 3"], Float[Tensor, "3"]], Float[Tensor, "n 3"]]
@@ -80,7 +83,9 @@ def godot_sky(dials: Float[Tensor, " dials"], direction: Float[Tensor, "n 3"], t
     height = torch.clamp(direction[:, 2], min=0.0)
     mass = 1.0 / (height + 0.15 * (3.885 + 54.5 * height) ** -1.253)
     light, passed = _scattered(by_air, by_haze, mass, direction @ to_sun, dials[2])
-    return _reddened(energy * light, passed, to_sun) ** (1.0 / (1.2 + 1.2 * fade))
+    # Under a sun that has set there is no light, and the root's slope would be endless.
+    glow = torch.clamp(_reddened(energy * light, passed, to_sun), min=_DARKEST)
+    return glow ** (1.0 / (1.2 + 1.2 * fade))
 
 
 def _scattered(by_air: Tensor, by_haze: Tensor, mass: Tensor, cosine: Tensor, g: Tensor) -> tuple[Tensor, Tensor]:
@@ -95,4 +100,4 @@ def _scattered(by_air: Tensor, by_haze: Tensor, mass: Tensor, cosine: Tensor, g:
 
 def _reddened(light: Tensor, passed: Tensor, to_sun: Tensor) -> Tensor:
     low = torch.clamp((1.0 - to_sun[2]) ** 5, 0.0, 1.0)
-    return (light * (1.0 - passed)) ** 1.5 * torch.lerp(torch.ones_like(light), torch.sqrt(light * passed), low)
+    return (light * (1.0 - passed)) ** 1.5 * torch.lerp(torch.ones_like(light), safe_sqrt(light * passed), low)

@@ -135,7 +135,9 @@ def _opacity(fog: HeightFog) -> tuple[tuple[float, float, float], np.ndarray]:
     ends = np.array([thin - 6.0, -1e4, steep - 8.0]), np.array([thin + 3.0, 1e5, steep + 4.0])
     # From below the eye, where height does nothing, and from above, where it does all.
     found = [
-        least_squares(apart, [thin, height * scale_height, steep], bounds=ends, x_scale=[1.0, scale_height, 1.0])
+        least_squares(
+            apart, [thin, height * scale_height, steep], bounds=ends, x_scale=[1.0, scale_height, 1.0], max_nfev=60
+        )
         for height in (0.0, 1.0, 3.0)
     ]
     best = min(found, key=lambda one: float(one.cost)).x

@@ -12,7 +12,7 @@ from torch import Tensor
 from fit.export.account import Difference, difference
 from fit.export.analytic_sky import Dial
 
-_EVALUATIONS = 60
+_EVALUATIONS = 25
 _DIMMEST = 1e-9  # radiance below which an engine's counts as that
 _BLACK = 1e-30  # and ours, as at night
 
