@@ -13,10 +13,31 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from fit import day_command, export_command, terminal
+from fit.command_options import (
+    FieldOfView,
+    Fix,
+    Free,
+    Heading,
+    Hour,
+    Latitude,
+    Longitude,
+    Mask,
+    Out,
+    Photo,
+    Pitch,
+    Projection,
+    Quiet,
+    Seconds,
+    Seed,
+    Solver,
+    Start,
+    Sun,
+    Time,
+    Weather,
+)
 from fit.input_error import InputError
 
 if TYPE_CHECKING:
-    from fit.shot import Shot
     from fit.solution import Solution
 
 app = typer.Typer(add_completion=False, rich_markup_mode=None, pretty_exceptions_enable=False)
@@ -30,36 +51,6 @@ THREADS = 1
 @app.callback()
 def about() -> None:
     """Fit skies, fog and anti-aliasing to HDR photos and write tuned weather files."""
-
-
-Projection = Annotated[
-    str | None, typer.Option(help="equirectangular, hemisphere, cubemap or perspective; else it is recognised.")
-]
-FieldOfView = Annotated[float | None, typer.Option("--fov", help="Across the width of a perspective picture, degrees.")]
-Pitch = Annotated[float, typer.Option(help="Of a perspective camera, degrees upwards.")]
-Heading = Annotated[
-    float | None, typer.Option(min=0, max=360, help="Compass bearing of the picture's middle column, degrees; else 0.")
-]
-Sun = Annotated[
-    str | None,
-    typer.Option("--sun", metavar="ELEVATION,AZIMUTH", help="Degrees; azimuth to the right of the middle column."),
-]
-Latitude = Annotated[
-    float | None,
-    typer.Option(min=-90, max=90, help="Degrees north; with --longitude and --time it places the sun."),
-]
-Longitude = Annotated[float | None, typer.Option(min=-180, max=180, help="Degrees east.")]
-Photo = Annotated[Path, typer.Argument(help="OpenEXR or Radiance .hdr file.")]
-Out = Annotated[Path | None, typer.Option(help="Folder for the results; else tuned/<photo name>.")]
-Mask = Annotated[Path | None, typer.Option(help="PNG of the photo's size; white is used.")]
-Start = Annotated[Path | None, typer.Option(help="Weather file to begin at; keeps what is not free.")]
-Fix = Annotated[list[str] | None, typer.Option(metavar="NAME=VALUE", help="Hold a parameter; repeatable.")]
-Free = Annotated[list[str] | None, typer.Option(metavar="NAME", help="Search one more; repeatable.")]
-Solver = Annotated[str, typer.Option(help="least-squares, nlopt:NAME, adam or lbfgs.")]
-Seconds = Annotated[float | None, typer.Option(min=1e-3, help="Take the best after this long; not repeatable.")]
-Seed = Annotated[int, typer.Option(min=0, max=2**31 - 1, help="Of the sample of pixels and of solvers that draw.")]
-Quiet = Annotated[bool, typer.Option("--quiet", help="Print nothing but errors.")]
-Time = Annotated[str | None, typer.Option(help="With its zone, such as 2016-08-14T06:30+02:00.")]
 
 
 @app.command()
@@ -95,7 +86,7 @@ def sky(
 
         _use_threads()
     folder = results.folder(out, photo)
-    shot = _shot(latitude, longitude, time, heading)
+    shot = options.shot(latitude, longitude, time, heading)
     place = sun_place.given(sun) if sun is not None else shot.sun()
     asked = sky_fit.Options(
         mask=mask,
@@ -156,7 +147,7 @@ def fog(
 
         _use_threads()
     folder = results.folder(out, photo)
-    shot = _shot(latitude, longitude, time, heading)
+    shot = options.shot(latitude, longitude, time, heading)
     place = sun_place.given(sun) if sun is not None else shot.sun()
     begun = options.first_scene(start) if start else None
     above = None
@@ -229,6 +220,7 @@ def sharpening(
         from fit import photo as photos
         from fit import sharpening as sharpening_fit
         from fit.sampled_photo import Sampling
+        from fit.shot import Shot
 
         _use_threads()
     asked = sharpening_fit.Options(
@@ -246,16 +238,16 @@ def sharpening(
         seen = photos.read(photo, projection, fov, pitch)
         found = sharpening_fit.solve(seen, asked)
     with _progress("writing", quiet):
-        shot = _shot(None, None, None, None).completed(seen.header)
+        shot = Shot().completed(seen.header)
         results.write_with(folder, found.solution, shot, found.draw, found.page)
     return _ended(folder, found.solution, quiet)
 
 
 @app.command()
 def render(
-    weather: Annotated[Path, typer.Argument(help="Weather file.")],
+    weather: Weather,
     out: Annotated[Path, typer.Option(help="OpenEXR file to write.")],
-    hour: Annotated[float, typer.Option(min=0, max=24, help="Of the day.")] = 12.0,
+    hour: Hour = 12.0,
     size: Annotated[str, typer.Option(metavar="WIDTHxHEIGHT", help="In pixels.")] = "1024x512",
     sun: Sun = None,
     latitude: Latitude = None,
@@ -272,29 +264,19 @@ def render(
     blend: Annotated[float | None, typer.Option(min=0, max=1, help="Share of the second of two --tables.")] = None,
 ) -> None:
     """Draw the sky of a weather file at an hour, and the sun's disc as a second part."""
-    from fit import keyframes, options, picture, weather_file
-    from fit import sun as sun_place
+    from fit import options, picture
     from fit import tables as stored
-    from fit.shot import sun_of_weather
 
     _use_threads()
     camera = options.camera(size, projection, fov, pitch)
-    shot = _shot(latitude, longitude, time, heading)
-    place = sun_place.given(sun) if sun is not None else shot.sun()
-    day = weather_file.read(weather)
-    values = keyframes.at(day, hour)
-    if place is None and not {"SUN_ELEVATION", "SUN_AZIMUTH"} & values.keys():
-        place = sun_of_weather(day.header, hour)
-    if place is not None:
-        values |= {"SUN_ELEVATION": place.elevation, "SUN_AZIMUTH": place.azimuth}
-    scene = options.with_sky(keyframes.scene(values), weather)
+    scene = options.scene_at(weather, hour, sun, options.shot(latitude, longitude, time, heading))
     light = stored.light(scene, tables or [], blend)
     picture.write(out, picture.draw(scene, camera, light), {"weather": weather.name, "hour": hour})
 
 
 @app.command()
 def show(
-    weather: Annotated[Path, typer.Argument(help="Weather file.")],
+    weather: Weather,
     out: Annotated[Path | None, typer.Option(metavar="HTML", help="Page to write, with larger plots.")] = None,
 ) -> None:
     """Print the table of a weather file and plot each parameter over the day."""
@@ -337,13 +319,6 @@ def tables(
 
 app.command("day")(day_command.day)
 app.command("export")(export_command.export)
-
-
-def _shot(latitude: float | None, longitude: float | None, time: str | None, heading: float | None) -> "Shot":
-    from fit import shot
-    from fit import sun as sun_place
-
-    return shot.Shot(latitude, longitude, None if time is None else sun_place.parse_time(time), heading)
 
 
 def _ended(folder: Path, solution: "Solution", quiet: bool) -> int:

@@ -9,6 +9,7 @@ from typing import Annotated
 
 import typer
 
+from fit.command_options import FieldOfView, Projection, Quiet, Solver
 from fit.input_error import InputError
 from fit.terminal import say
 
@@ -33,12 +34,8 @@ def day(
     pitch: Annotated[
         float | None, typer.Option(help="Of perspective cameras, degrees upwards; else it is found.")
     ] = None,
-    projection: Annotated[
-        str | None, typer.Option(help="equirectangular, hemisphere, cubemap or perspective; else it is recognised.")
-    ] = None,
-    fov: Annotated[
-        float | None, typer.Option("--fov", help="Across the width of perspective pictures, degrees.")
-    ] = None,
+    projection: Projection = None,
+    fov: FieldOfView = None,
     resume: Annotated[
         bool, typer.Option("--resume", help="Do not fit again what an earlier run into the same --out has fitted.")
     ] = False,
@@ -46,9 +43,9 @@ def day(
     scheduler: Annotated[
         str | None, typer.Option(metavar="tcp://HOST:PORT", help="Of a dask cluster that sees the photos' paths.")
     ] = None,
-    solver: Annotated[str, typer.Option(help="least-squares, nlopt:NAME, adam or lbfgs.")] = "least-squares",
+    solver: Solver = "least-squares",
     seed: Annotated[int, typer.Option(min=0, max=2**31 - 3, help="Of the sample of pixels and of solvers.")] = 0,
-    quiet: Annotated[bool, typer.Option("--quiet", help="Print nothing but errors.")] = False,
+    quiet: Quiet = False,
 ) -> int:
     """Fit the photos of a day at one place, and write one weather file of few keyframes.
 

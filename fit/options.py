@@ -1,4 +1,4 @@
-"""What the command line's options mean: the texts of --fix, --size and --start as values, a camera and a scene."""
+"""What the command line's options mean: their texts as values, a camera, a place and time, and a scene."""
 
 import math
 import re
@@ -10,9 +10,11 @@ import torch
 from diffrender.rays import Camera, Cubemap, Equirectangular, Perspective
 from diffrender.scene import Scene
 from fit import keyframes, weather_file
+from fit import sun as sun_place
 from fit.input_error import InputError
 from fit.limits import LARGEST_PIXELS
 from fit.photo import LAYOUTS, PROJECTIONS
+from fit.shot import Shot, sun_of_weather
 
 
 def assignments(texts: Sequence[str]) -> dict[str, float]:
@@ -78,6 +80,31 @@ def with_sky(scene: Scene, weather: Path) -> Scene:
     if scene.sky is None:
         raise InputError(f"{weather} holds no sky; give a weather file with rows of SKY_ names")
     return scene
+
+
+def shot(latitude: float | None, longitude: float | None, time: str | None, heading: float | None) -> Shot:
+    """Where and when a picture was taken.
+
+    Raises:
+        InputError: for a text that is no time with its zone, or place and time that do not go together.
+    """
+    return Shot(latitude, longitude, None if time is None else sun_place.parse_time(time), heading)
+
+
+def scene_at(weather: Path, hour: float, sun: str | None, taken: Shot) -> Scene:
+    """Scene of a weather file at an hour, its sun where it is given, else in the file, else by the file's header.
+
+    Raises:
+        InputError: when the file cannot be read or holds no sky.
+    """
+    place = sun_place.given(sun) if sun is not None else taken.sun()
+    day = weather_file.read(weather)
+    values = keyframes.at(day, hour)
+    if place is None and not {"SUN_ELEVATION", "SUN_AZIMUTH"} & values.keys():
+        place = sun_of_weather(day.header, hour)
+    if place is not None:
+        values |= {"SUN_ELEVATION": place.elevation, "SUN_AZIMUTH": place.azimuth}
+    return with_sky(keyframes.scene(values), weather)
 
 
 def camera(size: str, projection: str | None, field_of_view: float | None, pitch: float) -> Camera:
