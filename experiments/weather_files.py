@@ -29,7 +29,7 @@ from fit import weather_file
 from fit.input_error import InputError
 from fit.weather_file import Weather
 
-SIZES = {"small": (20, len(KINDS), 1), "full": (10_000, 5 * len(KINDS), len(KINDS))}  # good files, bad ones, processes
+SIZES = {"small": (5, len(KINDS), 0), "full": (10_000, 5 * len(KINDS), len(KINDS))}  # good files, bad ones, processes
 SUBNORMAL = 2.2250738585072014e-308  # the smallest number that is not
 REFUSED = 2  # exit status
 

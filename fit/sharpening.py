@@ -61,7 +61,7 @@ THRESHOLDS = (
     (0.7, 0.7),
     (1.0, 1.0),
 )
-RESPONSES, BLENDS = (0.0, 4.0), (0.0, 0.75)
+RESPONSES, BLENDS = (0.0, 4.0), (0.0, 0.4, 0.8)
 SAME = 1e-4  # change of the loss, relative, that is as good as none
 TURNS = 4  # of the solver and of comparing thresholds, at most
 STEPS = (0.2, 0.1, 0.05, 0.025, 0.0125)  # by which thresholds are moved and compared
