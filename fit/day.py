@@ -1,5 +1,7 @@
 """`fit day`: photos of a day, each fitted for itself, then all of them together, as one weather file of few keyframes.
 
+A photo that is far from what the others foretell is fitted once more from there: its loss has several minima.
+
 What is common to a day is air, haze and clouds, which change slowly: their curves follow all photos, through clouds and
 gaps. What each photo has of its own is its exposure and white balance: these are found at the curves' values, and their
 curves follow them as far as they follow each other.
@@ -8,7 +10,7 @@ curves follow them as far as they follow each other.
 import math
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import BrokenExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import datetime
 from pathlib import Path
 from typing import Any
@@ -21,7 +23,7 @@ from diffrender.scene import Scene, weather_names
 from fit import account, day_parts, day_times, keyframes, priors, sky
 from fit.day_curves import Curves, Observation, curves, spoken_of
 from fit.day_keyframes import Keyframes, fewest
-from fit.day_photo import THREADS, Asked, Estimate, fitted, of_text
+from fit.day_photo import LEANS, THREADS, Asked, Estimate, fitted, of_text
 from fit.input_error import InputError
 from fit.search_space import SearchSpace
 from fit.selection import PATCHES
@@ -30,7 +32,13 @@ from fit.solvers import solver
 GAINS = ("EXPOSURE", "SUN_IRRADIANCE_R", "SUN_IRRADIANCE_G", "SUN_IRRADIANCE_B")
 STOP = math.log(2.0)  # deviation of the prior of a gain's logarithm
 
+FEWEST = 4  # photos of a day, from which on each is compared with what the others foretell
+# A photo fitted again from there takes the place of the first fit up to this ratio of errors: of 60 patches of sky as
+# if independent, two standard deviations.
+AS_WELL = math.exp(4.0 / PATCHES)
+
 Tell = Callable[[int, int], None]
+Task = tuple[Path, datetime, Asked]
 
 
 def quietly(done: int, whole: int) -> None:
@@ -107,8 +115,14 @@ def fit(photos: Sequence[Path], options: Options, tell: Tell = quietly) -> Day:
     zone = times[0].tzinfo
     order = sorted(range(len(photos)), key=lambda index: (hour(times[index].astimezone(zone)), photos[index].name))
     photos, times = [photos[i].absolute() for i in order], [times[i].astimezone(zone) for i in order]
-    estimates = [of_text(text) for text in _texts(photos, times, options, tell)]
-    return together(estimates, times, options)
+    if not options.resume:
+        day_parts.clear(options.parts, [])
+    tasks = [(photo, time, options.asked) for photo, time in zip(photos, times, strict=True)]
+    first = _estimates(tasks, options, tell)
+    again = _again(tasks, first)
+    second = _estimates(list(again.values()), options, tell)
+    day_parts.clear(options.parts, [day_parts.place(options.parts, *task) for task in (*tasks, *again.values())])
+    return together(_likelier(first, dict(zip(again, second, strict=True))), times, options)
 
 
 def hour(time: datetime) -> float:
@@ -123,22 +137,51 @@ def _check_names(photos: Sequence[Path]) -> None:
         raise InputError(f"two photos are named {doubled}; rename one of them, or give it once")
 
 
-def _texts(photos: Sequence[Path], times: Sequence[datetime], options: Options, tell: Tell) -> list[str]:
+def _estimates(tasks: Sequence[Task], options: Options, tell: Tell) -> list[Estimate]:
     """What each photo says; each is kept as soon as it is known."""
-    places = [day_parts.place(options.parts, *one, options.asked) for one in zip(photos, times, strict=True)]
-    day_parts.clear(options.parts, places if options.resume else [])
+    places = [day_parts.place(options.parts, *task) for task in tasks]
     texts = {place: text for place in places if (text := day_parts.found(place)) is not None}
-    tasks = [
-        (str(place), photo, time, options.asked)
-        for place, photo, time in zip(places, photos, times, strict=True)
-        if place not in texts
-    ]
+    missing = [(str(place), *task) for place, task in zip(places, tasks, strict=True) if place not in texts]
     tell(len(texts), len(places))
-    for name, text in _each(_one, tasks, options.jobs):
+    for name, text in _each(_one, missing, options.jobs):
         day_parts.keep(Path(name), text)
         texts[Path(name)] = text
         tell(len(texts), len(places))
-    return [texts[place] for place in places]
+    return [of_text(texts[place]) for place in places]
+
+
+def _again(tasks: Sequence[Task], estimates: Sequence[Estimate]) -> dict[int, Task]:
+    """Photos, by their index, that are far from what the others foretell, to be fitted again from there.
+
+    A photo's loss has several minima that are nearly as low: it may have ended in one where no other photo did.
+    """
+    spoken = _spoken(estimates, [time for _, time, _ in tasks])
+    heard = [place for place in range(len(spoken.used)) if place not in spoken.doubtful]
+    if len(heard) < FEWEST:
+        return {}
+    air, home = _air(spoken), _home()
+    keys = fewest(air, len(spoken.used))
+    found = {}
+    for place in heard:
+        index = spoken.used[place]
+        if not air.distances[place] > 1.0:
+            continue
+        here = keys | {name: Keyframes((0.0,), (there,)) for name, there in air.foretold[place].items()}
+        values = values_at(home, here, spoken.hours[place])
+        start = {name: at for name, at in values.items() if name.startswith("SKY_") and name not in LEANS}
+        photo, time, asked = tasks[index]
+        found[index] = photo, time, replace(asked, start=start)
+    return found
+
+
+def _likelier(first: Sequence[Estimate], second: Mapping[int, Estimate]) -> list[Estimate]:
+    """Estimates, of which those fitted again take the place of the first where the photo is as well told by them."""
+    found = list(first)
+    for index, again in second.items():
+        if not again.refused and again.error <= AS_WELL * first[index].error:
+            # What a fit holds at given values is not known to it to be uncertain.
+            found[index] = replace(again, held=None)
+    return found
 
 
 def _one(name: str, photo: Path, time: datetime, asked: Asked) -> tuple[str, str]:
@@ -166,22 +209,17 @@ def together(estimates: Sequence[Estimate], times: Sequence[datetime], options: 
     Raises:
         InputError: when none of them can be used.
     """
-    used = [index for index, one in enumerate(estimates) if not one.refused]
-    doubtful = [place for place, index in enumerate(used) if estimates[index].is_doubtful]
+    spoken = _spoken(estimates, times)
+    used, hours = spoken.used, spoken.hours
     if not used:
         raise InputError(f"none of {len(estimates)} photos can be used; of the first: {estimates[0].refused}")
-    if len(doubtful) == len(used):
+    if len(spoken.doubtful) == len(used):
         one = estimates[used[0]]
         raise InputError(
             f"the sun of {one.photo} stands {one.off:.3g} degrees from where place and time put it, and so in every "
             "photo; check --latitude, --longitude, --heading and the times with their zones"
         )
-    hours = [hour(times[index]) for index in used]
-    home = keyframes.scene({"SKY_OVERCAST": 0.0}, torch.float64)
-    spoken = [_spoken(estimates[index], at) for index, at in zip(used, hours, strict=True)]
-    names = _with_curves([one for place, one in enumerate(spoken) if place not in doubtful])
-    spread = dict(zip(names, map(float, priors.in_unit_cube(names).spread), strict=True))
-    air = curves(spoken, spread, doubtful)
+    air, home = _air(spoken), _home()
     keys = fewest(air, len(used))
     tasks = [
         (place, values_at(home, keys, at) | _sun(estimates[index], options.asked.bearing), estimates[index])
@@ -192,7 +230,7 @@ def together(estimates: Sequence[Estimate], times: Sequence[datetime], options: 
     gains = curves(
         [_gained(one, at) for one, at in zip(judged, hours, strict=True)],
         {name: STOP / _span(name) for name in GAINS},
-        doubtful,
+        spoken.doubtful,
     )
     every: list[Judged | None] = [None] * len(estimates)
     for place, index in enumerate(used):
@@ -205,9 +243,43 @@ def together(estimates: Sequence[Estimate], times: Sequence[datetime], options: 
         air=air,
         gains=gains,
         keyframes=keys | fewest(gains, len(used)),
-        held={name: _held(name, [estimates[index] for index in used]) for name in names},
+        held={name: _held(name, [estimates[index] for index in used]) for name in air.names},
         home=home,
     )
+
+
+@dataclass(frozen=True)
+class _Spoken:
+    """What those photos say that are not refused.
+
+    Attributes:
+        used: their indices.
+        hours: of the day, one for each of them.
+        said: by each of them.
+        doubtful: places among them of photos whose sun is elsewhere.
+    """
+
+    used: list[int]
+    hours: list[float]
+    said: list[Observation]
+    doubtful: list[int]
+
+
+def _spoken(estimates: Sequence[Estimate], times: Sequence[datetime]) -> _Spoken:
+    used = [index for index, one in enumerate(estimates) if not one.refused]
+    hours = [hour(times[index]) for index in used]
+    said = [_observation(estimates[index], at) for index, at in zip(used, hours, strict=True)]
+    return _Spoken(used, hours, said, [place for place, index in enumerate(used) if estimates[index].is_doubtful])
+
+
+def _air(spoken: _Spoken) -> Curves:
+    names = _with_curves([one for place, one in enumerate(spoken.said) if place not in spoken.doubtful])
+    spread = dict(zip(names, map(float, priors.in_unit_cube(names).spread), strict=True))
+    return curves(spoken.said, spread, spoken.doubtful)
+
+
+def _home() -> Scene:
+    return keyframes.scene({"SKY_OVERCAST": 0.0}, torch.float64)
 
 
 def _with_curves(spoken: Sequence[Observation]) -> list[str]:
@@ -219,7 +291,7 @@ def _with_curves(spoken: Sequence[Observation]) -> list[str]:
     return [name for name in spoken_of(spoken, 1) if name in sky.SEARCHED or name in most]
 
 
-def _spoken(one: Estimate, at: float) -> Observation:
+def _observation(one: Estimate, at: float) -> Observation:
     assert one.point is not None
     assert one.noise is not None
     return Observation(at, one.names, one.point, one.noise)
@@ -265,4 +337,4 @@ def _held(name: str, estimates: Sequence[Estimate]) -> float:
         for one in estimates
         if name in one.names and one.held is not None
     ]
-    return float(np.median(found))
+    return float(np.median(found)) if found else 0.0

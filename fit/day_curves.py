@@ -56,6 +56,7 @@ class Curves:
         covariance: of all values, name after name, lack of fit allowed for.
         weights: of each photo, 1 for one that is as foretold or nearer; 0 for one that had no say.
         distances: of each photo from what the others foretell, in standard deviations; NaN without names of its own.
+        foretold: what the others foretell of the names that each photo speaks of.
         strengths: of each name's drift, in deviations of its prior per root of an hour.
         scores: of each common strength tried, mean of minus log of the density at a photo that was left out.
         score: the same for the chosen strengths.
@@ -68,6 +69,7 @@ class Curves:
     covariance: Float64[np.ndarray, "k*t k*t"]
     weights: Float64[np.ndarray, " p"]
     distances: Float64[np.ndarray, " p"]
+    foretold: tuple[Mapping[str, float], ...]
     strengths: Mapping[str, float]
     scores: Mapping[float, float]
     score: float
@@ -116,6 +118,10 @@ def curves(observations: Sequence[Observation], spread: Mapping[str, float], sil
         covariance=last.scale**2 * last.covariance,
         weights=last.weights,
         distances=last.distances,
+        foretold=tuple(
+            dict(zip(one.names, map(float, expected), strict=True))
+            for one, expected in zip(day.seen, last.foretold, strict=True)
+        ),
         strengths={name: STRENGTHS[step] for name, step in zip(day.names, steps, strict=True)},
         scores={strength: one.score for strength, one in tried.items()},
         score=last.score,
@@ -129,6 +135,7 @@ class _Smoothed:
     covariance: Float64[np.ndarray, "m m"]
     weights: Float64[np.ndarray, " p"]
     distances: Float64[np.ndarray, " p"]
+    foretold: tuple[Float64[np.ndarray, "..."], ...]
     score: float
     scale: float
 
@@ -151,6 +158,7 @@ def _chosen(day: "_Day", start: int, last: _Smoothed) -> tuple[list[int], _Smoot
 class _Seen:
     """What a photo sees of the values of every name at every node: shares of a few of them."""
 
+    names: tuple[str, ...]
     columns: Int64[np.ndarray, " c"]
     shares: Float64[np.ndarray, "n c"]
     point: Float64[np.ndarray, " n"]
@@ -165,7 +173,7 @@ class _Seen:
         flat = rows.reshape(len(kept), len(names) * len(hours))
         columns = np.flatnonzero(flat.any(0))
         own = one.covariance[np.ix_(kept, kept)] + LEAST_DEVIATION**2 * np.eye(len(kept))
-        return cls(columns, flat[:, columns], one.point[kept], own)
+        return cls(tuple(one.names[index] for index in kept), columns, flat[:, columns], one.point[kept], own)
 
 
 @dataclass(frozen=True)
@@ -195,14 +203,14 @@ class _Day:
         weights = has_say if like is None else like.weights
         for _ in range(MOST_WEIGHINGS):
             mean, covariance = self._posterior(drift, weights)
-            squares, scores = self._left_out(mean, covariance, weights)
+            squares, scores, foretold = self._left_out(mean, covariance, weights)
             scale = _scale(squares[heard], sizes[heard])
             now = has_say * np.minimum((FREEDOM + sizes) / (FREEDOM + squares / scale**2), 1.0)
             weights, change = now, float(np.abs(now - weights).max())
             if change < SETTLED:
                 break
         distances = np.where([one.point.size > 0 for one in self.seen], np.sqrt(squares / sizes), np.nan)
-        return _Smoothed(mean, covariance, weights, distances, float(np.mean(scores[heard])), scale)
+        return _Smoothed(mean, covariance, weights, distances, foretold, float(np.mean(scores[heard])), scale)
 
     def _drift(self, strengths: Strengths) -> Float64[np.ndarray, "m m"]:
         """Information of the random walk round the day."""
@@ -235,9 +243,10 @@ class _Day:
         mean: Float64[np.ndarray, " m"],
         covariance: Float64[np.ndarray, "m m"],
         weights: Float64[np.ndarray, " p"],
-    ) -> tuple[Float64[np.ndarray, " p"], Float64[np.ndarray, " p"]]:
-        """Of each photo: squared distance from what the others foretell, minus log of Student's density there."""
+    ) -> tuple[Float64[np.ndarray, " p"], Float64[np.ndarray, " p"], tuple[Float64[np.ndarray, "..."], ...]]:
+        """Of each photo: squared distance from what the others foretell, minus log of Student's density there, that."""
         squares, scores = np.zeros(len(self.seen)), np.zeros(len(self.seen))
+        foretold = [one.point for one in self.seen]
         for index, one in enumerate(self.seen):
             if not one.point.size:
                 continue
@@ -248,12 +257,13 @@ class _Day:
                 gain = here @ np.linalg.inv(here - one.covariance / weights[index])
                 expected = expected - gain @ (expected - one.point)
                 here = here - gain @ here
+            foretold[index] = expected
             wanted = one.point - expected
             whole = 0.5 * (here + here.T) + one.covariance
             squares[index] = max(float(wanted @ np.linalg.solve(whole, wanted)), 0.0)
             density = (FREEDOM + wanted.size) * math.log1p(squares[index] / FREEDOM)
             scores[index] = 0.5 * (np.linalg.slogdet(whole)[1] + density)
-        return squares, scores
+        return squares, scores, tuple(foretold)
 
 
 def _scale(squares: Float64[np.ndarray, " p"], sizes: Float64[np.ndarray, " p"]) -> float:

@@ -8,6 +8,7 @@ the same bits.
 import base64
 import json
 import math
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass, replace
 from datetime import datetime
 from pathlib import Path
@@ -45,6 +46,7 @@ class Asked:
         bearing: compass bearing that +x of the results has, degrees.
         solver: as on the command line.
         seed: of the sample of pixels.
+        start: values in files' units to begin at and to keep where the photo says nothing; none for a hazy day.
     """
 
     latitude: float
@@ -54,6 +56,7 @@ class Asked:
     bearing: float = 0.0
     solver: str = "least-squares"
     seed: int = 0
+    start: Mapping[str, float] | None = None
 
 
 @dataclass(frozen=True)
@@ -119,7 +122,8 @@ def fitted(path: Path, time: datetime, asked: Asked) -> str:
     if computed.elevation < LOWEST_SUN:
         deep = f"a night: the sun stands {-computed.elevation:.1f} degrees below the horizon"
         return _text(replace(nothing, refused=deep))
-    options = Options(mask=asked.mask, solver=asked.solver, seed=asked.seed)
+    start = None if asked.start is None else keyframes.scene(asked.start, torch.float64)
+    options = Options(mask=asked.mask, solver=asked.solver, seed=asked.seed, start=start)
     try:
         view = seen(path, computed, asked.turned, options)
         if asked.mask is None:

@@ -303,3 +303,35 @@ def test_gains_of_a_photo_are_its_exposed_sun():
         for name in day.GAINS[1:3]
     )
     assert red / green == pytest.approx(2.0)
+
+
+def estimates_of(haziness):
+    names = ("SKY_HAZINESS", "SKY_MIE_SCALE")
+    noise = np.diag([0.01, 0.02]) ** 2
+    return [
+        day_photo.Estimate(
+            f"{index}.exr", "", 40.0, 180.0, names, np.array([haze, 0.4]), noise, 2.0 * noise, names, 0.01
+        )
+        for index, haze in enumerate(haziness)
+    ]
+
+
+def test_a_photo_far_from_what_the_others_foretell_is_fitted_again_from_there(tmp_path):
+    asked = day_photo.Asked(48.0, 11.0, day_sun.Turned())
+    first = estimates_of([0.70, 0.71, 0.70, 0.99, 0.70, 0.69])
+    tasks = [(tmp_path / one.photo, time_at(hour), asked) for one, hour in zip(first, range(8, 14), strict=True)]
+    again = day._again(tasks, first)
+    start = again[3][2].start
+    assert start["SKY_HAZINESS"] == pytest.approx(0.70 * 0.99, abs=0.02)  # a share of its bounds
+    assert not {"SUN_ELEVATION", "EXPOSURE", *day_photo.LEANS} & start.keys()
+    assert again[3][:2] == tasks[3][:2]
+    assert len(again) < len(first)
+    assert day._again(tasks[:3], first[:3]) == {}
+
+
+def test_a_second_fit_takes_the_place_of_the_first_where_the_photo_is_as_well_told():
+    first, again = estimates_of([0.99] * 3), estimates_of([0.7] * 3)
+    worse, refused = replace(again[1], error=0.02), replace(again[2], refused="not finite")
+    chosen = day._likelier(first, {0: replace(again[0], error=0.0102), 1: worse, 2: refused})
+    assert [one.point[0] for one in chosen] == [0.7, 0.99, 0.99]
+    assert chosen[0].held is None
