@@ -19,7 +19,10 @@ from fit.search_space import SearchSpace
 
 pytest_plugins = ["command_fixtures"]
 
-GIVEN = Options(sun=SUN, eye_height=EYE)
+# Whose truth is the default; one test searches them.
+SHARES = {f"HEIGHT_FOG_RAYLEIGH_SHARE_{channel}": 0.2 for channel in "RGB"}
+GIVEN = Options(sun=SUN, eye_height=EYE, fixed=SHARES)
+DENSITY_ALONE = replace(GIVEN, fixed=SHARES | {name: TRUTH[name] for name in TRUTH if name != "HEIGHT_FOG_EXTINCTION"})
 
 
 @pytest.fixture(scope="module", autouse=True)
@@ -193,7 +196,7 @@ def test_the_base_height_stays_and_the_fit_says_so(alone):
 @pytest.mark.slow
 def test_another_base_height_is_the_same_fog(fogged, files):
     seen, _, distance = drawn()
-    raised = replace(GIVEN, clear=files / "clear.exr", fixed={"HEIGHT_FOG_BASE_HEIGHT": 60.0})
+    raised = replace(GIVEN, clear=files / "clear.exr", fixed=SHARES | {"HEIGHT_FOG_BASE_HEIGHT": 60.0})
     found = fog.fit(photo(seen, distance), raised)
     one, other = (solution.parameters["HEIGHT_FOG_EXTINCTION"].value for solution in (fogged.solution, found))
     scale = found.parameters["HEIGHT_FOG_SCALE_HEIGHT"].value
@@ -216,8 +219,8 @@ UNDER_A_SKY = {"SKY_HAZINESS": 0.7, "SKY_MIE_SCALE": 2.0, "EXPOSURE": 1.0}
 @pytest.mark.slow
 def test_fog_under_a_known_sky_takes_its_light(files):
     seen, _, distance = drawn()
-    begun = keyframes.scene(UNDER_A_SKY, torch.float64)
-    found = fog.solve(photo(seen, distance), replace(GIVEN, clear=files / "clear.exr", start=begun))
+    begun = keyframes.scene(UNDER_A_SKY | {"EXPOSURE": 4.0}, torch.float64)
+    found = fog.solve(photo(seen, distance), replace(DENSITY_ALONE, clear=files / "clear.exr", start=begun))
     scene = found.solution.scene
     given = scene.height_fog.ambient_tint * skylight(scene)
     wanted = found.objective.lights(torch.from_numpy(found.solution.minimum.point)).ambient() / scene.height_fog.albedo
@@ -231,7 +234,7 @@ def test_a_sky_that_is_far_too_dark_is_refused(files):
     seen, _, distance = drawn()
     begun = keyframes.scene(UNDER_A_SKY | {"EXPOSURE": 0.01}, torch.float64)
     with pytest.raises(InputError, match="times as strongly as the given sky lights it, of 16 allowed; the weather"):
-        fog.solve(photo(seen, distance), replace(GIVEN, clear=files / "clear.exr", start=begun))
+        fog.solve(photo(seen, distance), replace(DENSITY_ALONE, clear=files / "clear.exr", start=begun))
 
 
 @pytest.mark.slow

@@ -92,8 +92,8 @@ def test_beyond_the_border_lies_its_pixel_or_the_other_side():
 
 
 def test_bilinear_has_the_gradients_of_its_formula():
-    place = images.places(7, 5, torch.tensor([0.21, 0.37], dtype=torch.float64)).requires_grad_()
-    picture = NOISE.clone().requires_grad_()
+    place = images.places(2, 3, torch.tensor([0.21, 0.37], dtype=torch.float64)).requires_grad_()
+    picture = NOISE[:4, :4, :1].clone().requires_grad_()
 
     def draw(picture, place):
         return images.bilinear(picture, place, images.wrapped)
@@ -121,8 +121,8 @@ def test_the_cubic_overshoots_a_corner_by_its_negative_weights():
 
 
 def test_the_cubic_has_the_gradients_of_its_formula():
-    place = images.places(7, 5, torch.tensor([0.21, 0.37], dtype=torch.float64)).requires_grad_()
-    picture = NOISE.clone().requires_grad_()
+    place = images.places(2, 3, torch.tensor([0.21, 0.37], dtype=torch.float64)).requires_grad_()
+    picture = NOISE[:4, :4, :1].clone().requires_grad_()
 
     def draw(picture, place):
         return images.catmull_rom(picture, place, images.wrapped)

@@ -169,7 +169,8 @@ def test_the_strength_found_is_that_of_a_grid_search(footprint):
 
 
 @pytest.mark.slow
-def test_points_are_best_not_sharpened_and_wide_samples_are():
+def test_points_are_best_not_sharpened_and_wide_samples_are(monkeypatch):
+    monkeypatch.setattr(sharpening, "THRESHOLDS", sharpening.THRESHOLDS[1::3])
     found = {
         footprint: sharpening.fit(photo(textured()), sharpening.Options(sampling=Sampling(FACTOR, footprint)))
         for footprint in (0.0, 1.0)
@@ -260,11 +261,9 @@ def test_the_tolerance_of_history_is_searched_where_the_scene_moves():
     found = sharpening.solve(seen, asked)
     assert found.solution.parameters["AA_HISTORY_TOLERANCE"].why != "default"
     assert any("moves 1.25,-0.5 pixels a frame" in note for note in found.solution.notes)
-    scores = {name: score["psnr"] for name, score in found.solution.scores.items()}
     usual = sharpening.search_space(sharpening.Options(fixed=STRENGTH_ALONE)).start.antialiasing
     begun = float(inner(drawn(usual, found.views) - found.views.truth).square().mean())
     assert found.solution.error < begun
-    assert scores["fitted"] >= scores["average"]
 
 
 # The command

@@ -5,6 +5,7 @@ import pytest
 import torch
 
 from experiments import sharpening
+from fit import sharpening as sharpening_fit
 from fit.sampled_photo import Views
 
 
@@ -34,6 +35,7 @@ def test_the_exhaustive_search_finds_the_strength_that_made_the_truth():
 def test_sharpening_is_written_and_drawn(tmp_path, capsys, monkeypatch):
     photos = {path.stem: path for path in sharpening.PHOTOS.glob("blender_*t.exr")}
     monkeypatch.setattr(sharpening, "is_photo", lambda path: path.stem in photos)
+    monkeypatch.setattr(sharpening_fit, "THRESHOLDS", ((0.166, 0.0833), (1.0, 1.0)))
     sharpening.main(["--size", "small", "--out", str(tmp_path)])
     content = json.loads((tmp_path / "sharpening.json").read_text())
     assert {row["photo"] for row in content["alone"]} == set(photos)
