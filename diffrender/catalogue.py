@@ -1,13 +1,14 @@
 """All effects by name, in drawing order: the only file that knows them all."""
 
 from diffrender.antialiasing import checkerboard, edge_taa, fxaa
-from diffrender.atmosphere import celestial, height_fog, sky
+from diffrender.atmosphere import celestial, far_fog, height_fog, sky
 from diffrender.effect import Effect
 
 EFFECTS: dict[str, Effect] = {
     "sky": sky.EFFECT,
     "sun disc": celestial.EFFECT,
     "height fog": height_fog.EFFECT,
+    "far fog": far_fog.EFFECT,
     "fxaa": fxaa.EFFECT,
     "edge taa": edge_taa.EFFECT,
     "checkerboard": checkerboard.EFFECT,

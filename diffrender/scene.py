@@ -18,6 +18,7 @@ from torch import Tensor
 from diffrender.antialiasing.settings import AntiAliasing
 from diffrender.atmosphere import sky
 from diffrender.atmosphere.celestial import Sun, SunView, pre_exposed, to_sun
+from diffrender.atmosphere.far_fog import FarFog
 from diffrender.atmosphere.height_fog import HeightFog
 from diffrender.atmosphere.sky import Sky, SkyView
 from diffrender.catalogue import EFFECTS
@@ -43,6 +44,7 @@ class Scene:
     sun: Sun
     sky: Sky | None
     height_fog: HeightFog | None = None  # of the ground, which whole-sky pictures do not show
+    far_fog: FarFog | None = None
     antialiasing: AntiAliasing | None = None
 
 
