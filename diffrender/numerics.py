@@ -1,5 +1,6 @@
 """Functions that keep value and gradient at delicate points; each says which, and has a test exactly there."""
 
+import itertools
 import math
 
 import torch
@@ -161,3 +162,30 @@ def lookup(
     upper = torch.lerp(flat[corner], flat[corner + beside], across)
     lower = torch.lerp(flat[corner + below], flat[corner + below + beside], across)
     return torch.lerp(upper, lower, down)
+
+
+def b_splines(place: Float[Tensor, "*batch"], count: int) -> Float[Tensor, "*batch {count}"]:
+    """Cubic B-splines of a number of coefficients at places in [0, 1]; outside, those of the nearer end.
+
+    Uniform knots but for the ends, where the first spline and the last are 1 and all others 0. Together they are 1.
+
+    Gradient: exact and continuous inside; 0 outside.
+
+    >>> b_splines(torch.tensor([0.0, 0.5]), 5)
+    tensor([[1.0000, 0.0000, 0.0000, 0.0000, 0.0000],
+            [0.0000, 0.2500, 0.5000, 0.2500, 0.0000]])
+    """
+    place, pieces = place.clamp(0.0, 1.0), count - 3
+    knots = [min(max(knot, 0), pieces) / pieces for knot in range(-3, pieces + 4)]
+    spans = list(itertools.pairwise(knots))
+    # The last piece holds its end too.
+    found = [((place >= low) & ((place < high) | (high == 1.0))).to(place) * float(low < high) for low, high in spans]
+    for degree in (1, 2, 3):
+        rising = [_share(place, knots[i], knots[i + degree]) for i in range(len(found))]
+        found = [rising[i] * found[i] + (1.0 - rising[i + 1]) * found[i + 1] for i in range(len(found) - 1)]
+    return torch.stack(found, -1)
+
+
+def _share(place: Tensor, low: float, high: float) -> Tensor:
+    """How far a place is from one knot to another; nothing where both are one, whose spline is 0."""
+    return (place - low) / (high - low) if low < high else torch.zeros_like(place)

@@ -3,7 +3,7 @@ import math
 import pytest
 import torch
 
-from diffrender.numerics import decayed_length, erfcx, lookup, mean_decay, opacity, safe_sqrt
+from diffrender.numerics import b_splines, decayed_length, erfcx, lookup, mean_decay, opacity, safe_sqrt
 
 TABLE = torch.rand(4, 5, 3, generator=torch.Generator().manual_seed(1), dtype=torch.float64)
 
@@ -240,3 +240,32 @@ def test_lookup_works_under_vmap_of_jvp():
     both = torch.func.vmap(along)(torch.eye(2, dtype=torch.float64))
     assert torch.equal(both[0, 1], torch.zeros(3, dtype=torch.float64))
     torch.testing.assert_close(both.sum(0), along(torch.ones(2, dtype=torch.float64)))
+
+
+# b_splines
+
+
+@pytest.mark.parametrize("count", [4, 5, 7, 12])
+def test_b_splines_are_positive_and_one_together_and_each_end_has_its_own(count):
+    place = torch.linspace(0.0, 1.0, 97, dtype=torch.float64)
+    found = b_splines(place, count)
+    assert (found >= 0.0).all()
+    torch.testing.assert_close(found.sum(-1), torch.ones_like(place), rtol=1e-14, atol=0.0)
+    assert torch.equal(found[0], torch.eye(count, dtype=torch.float64)[0])
+    assert torch.equal(found[-1], torch.eye(count, dtype=torch.float64)[-1])
+    assert torch.equal(b_splines(torch.tensor([-3.0, 7.0]), count), b_splines(torch.tensor([0.0, 1.0]), count))
+
+
+def test_four_b_splines_are_bernsteins_polynomials():
+    place = torch.linspace(0.0, 1.0, 11, dtype=torch.float64)
+    wanted = [math.comb(3, i) * place**i * (1.0 - place) ** (3 - i) for i in range(4)]
+    torch.testing.assert_close(b_splines(place, 4), torch.stack(wanted, -1))
+
+
+@pytest.mark.parametrize("way", WAYS)
+def test_b_splines_draw_straight_lines_whose_slope_is_one_at_every_knot_and_both_ends(way):
+    knots = torch.tensor([0.0, 0.0, 0.0, 0.25, 0.5, 0.75, 1.0, 1.0, 1.0], dtype=torch.float64)
+    means = knots.unfold(0, 3, 1).mean(-1)  # of the three knots inside each spline
+    place = torch.tensor([0.0, 1e-12, 0.25, 0.25 + 1e-12, 0.5, 0.6, 0.75, 1.0 - 1e-12, 1.0], dtype=torch.float64)
+    torch.testing.assert_close(b_splines(place, 7) @ means, place, rtol=1e-14, atol=1e-16)
+    torch.testing.assert_close(way(lambda at: b_splines(at, 7) @ means, place), torch.ones_like(place))
