@@ -15,14 +15,11 @@ from torch import Tensor
 
 from diffrender.atmosphere import sky, sky_view
 from diffrender.atmosphere.sky import Sky, SkyView
-from diffrender.atmosphere.two_tables import ROWS, TwoTables
+from diffrender.atmosphere.two_tables import DARK, HAZINESSES, ROWS, TwoTables, least_positive
 from diffrender.rays import from_angles
 from diffrender.scene import EYE_ALTITUDE
 
 AZIMUTHS = 25  # from the sun's to the one opposite
-# Without several of them the two tables could not be told apart where all azimuths look the same, at the zenith.
-HAZINESSES = (0.5, 0.65, 0.76, 0.85, 0.9)
-DARK = 1e-12  # radiance per irradiance of the sun [1/sr] far below that of the deepest twilight
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,20 +62,3 @@ def _functions(of: Sky, view: SkyView) -> Float[Tensor, "*batch 3 2"]:
     """Phase functions of air and of haze [1/sr]."""
     by_air, by_haze = sky.phases(of, view)
     return torch.stack([by_air.expand_as(by_haze), by_haze], -1)
-
-
-def least_positive(
-    functions: Float[Tensor, "rows n 3 2"], wanted: Float[Tensor, "rows n 3"]
-) -> Float[Tensor, "rows 3 2"]:
-    """Factors of two positive functions, neither of them negative, whose sums are nearest to what is wanted."""
-    squares = torch.einsum("rnci,rncj->rcij", functions, functions)
-    products = torch.einsum("rnci,rnc->rci", functions, wanted)
-    alone = products / torch.diagonal(squares, dim1=-2, dim2=-1)
-    # A share of the diagonal that changes nothing but what both functions do alike.
-    both = torch.linalg.solve(squares + 1e-12 * torch.diag_embed(torch.diagonal(squares, dim1=-2, dim2=-1)), products)
-    first, second = both.unbind(-1)
-    nothing = torch.zeros_like(first)
-    without_second = torch.stack([alone[..., 0], nothing], -1)
-    without_first = torch.stack([nothing, alone[..., 1]], -1)
-    found = torch.where((second < 0.0)[..., None], without_second, both)
-    return torch.where((first < 0.0)[..., None], without_first, found)

@@ -28,14 +28,14 @@ def generator():
 def test_factors_that_made_a_sky_are_found_again():
     functions = torch.rand(4, 30, 3, 2, dtype=torch.float64, generator=generator()) + 0.1
     truth = torch.rand(4, 3, 2, dtype=torch.float64, generator=generator())
-    found = table_fits.least_positive(functions, (functions * truth[:, None]).sum(-1))
+    found = two_tables.least_positive(functions, (functions * truth[:, None]).sum(-1))
     torch.testing.assert_close(found, truth, rtol=1e-9, atol=1e-12)
 
 
 def test_factors_are_the_nearest_that_are_not_negative():
     functions = torch.rand(20, 6, 3, 2, dtype=torch.float64, generator=generator()) + 0.1
     wanted = torch.rand(20, 6, 3, dtype=torch.float64, generator=generator())
-    found = table_fits.least_positive(functions, wanted)
+    found = two_tables.least_positive(functions, wanted)
     assert (found == 0.0).any(0).any(0).all()  # either function is left out somewhere
     for row in range(20):
         for channel in range(3):

@@ -28,6 +28,9 @@ from diffrender.parameters import record
 
 PACKAGED = "two_tables.safetensors"
 ROWS = 24  # of the tables that come with the package
+# Tables are fitted to. Without several the two could not be told apart where all azimuths look the same, at the zenith.
+HAZINESSES = (0.5, 0.65, 0.76, 0.85, 0.9)
+DARK = 1e-12  # radiance per irradiance of the sun [1/sr] far below that of the deepest twilight
 
 
 @record
@@ -75,3 +78,20 @@ def look_up(prepared: TwoTabledView) -> tuple[Float[Tensor, "*batch 3"], Float[T
         lookup(table[:, None], row, torch.zeros_like(row)) for table in (prepared.tables.air, prepared.tables.haze)
     )
     return by_air, by_haze
+
+
+def least_positive(
+    functions: Float[Tensor, "rows n 3 2"], wanted: Float[Tensor, "rows n 3"]
+) -> Float[Tensor, "rows 3 2"]:
+    """Factors of two positive functions, neither of them negative, whose sums are nearest to what is wanted."""
+    squares = torch.einsum("rnci,rncj->rcij", functions, functions)
+    products = torch.einsum("rnci,rnc->rci", functions, wanted)
+    alone = products / torch.diagonal(squares, dim1=-2, dim2=-1)
+    # A share of the diagonal that changes nothing but what both functions do alike.
+    both = torch.linalg.solve(squares + 1e-12 * torch.diag_embed(torch.diagonal(squares, dim1=-2, dim2=-1)), products)
+    first, second = both.unbind(-1)
+    nothing = torch.zeros_like(first)
+    without_second = torch.stack([alone[..., 0], nothing], -1)
+    without_first = torch.stack([nothing, alone[..., 1]], -1)
+    found = torch.where((second < 0.0)[..., None], without_second, both)
+    return torch.where((first < 0.0)[..., None], without_first, found)
