@@ -14,6 +14,7 @@ holds at the horizon. Everything here is geometry of unit densities; what scatte
 
 import itertools
 import math
+from dataclasses import replace
 
 import torch
 from jaxtyping import Float
@@ -220,17 +221,46 @@ def paths(
 
     `cos_view` and `cos_sun` are cosines of zenith angles, `cos_angle` of the angle between view and sun.
     """
-    radius = PLANET_RADIUS + height
     length, lands = _length(height, cos_view)
+    radius = PLANET_RADIUS + height
+    ground_sun = torch.clamp((radius * cos_sun + length * cos_angle) / PLANET_RADIUS, -1.0, 1.0)
+    sea = torch.zeros_like(ground_sun)
+    return replace(
+        _cut(Lines(height, cos_view, cos_sun, cos_angle), length, steps),
+        ground=(lands * torch.relu(ground_sun) * sunlit(sea, ground_sun))[..., None],
+        ground_column=_lit_column(sea, ground_sun, sunlit(sea, ground_sun)),
+    )
+
+
+@record
+class Lines:
+    """Half-lines from points in the shell, by the angles that `paths` takes."""
+
+    height: Float[Tensor, "*#batch"]  # [m]
+    cos_view: Float[Tensor, "*#batch"]
+    cos_sun: Float[Tensor, "*#batch"]
+    cos_angle: Float[Tensor, "*batch"]
+
+
+def stretches(lines: Lines, length: Float[Tensor, "*#batch"], steps: int) -> Paths:
+    """The first metres of rays, so many as a length that may be infinite, in steps as of `paths`; without ground.
+
+    They end where the ray meets the ground or leaves for space, whatever is beyond.
+    """
+    whole, _ = _length(lines.height, lines.cos_view)
+    return _cut(lines, torch.minimum(length, whole), steps)
+
+
+def _cut(lines: Lines, length: Tensor, steps: int) -> Paths:
+    height, cos_angle = lines.height, lines.cos_angle
     border = torch.linspace(0.0, 1.0, steps + 1).to(height).square()
     middle = length[..., None] * (border[1:] + border[:-1]) / 2.0
-    along = height_along(height[..., None], cos_view[..., None], middle)
-    local_sun = (radius * cos_sun)[..., None] + middle * cos_angle[..., None]
+    along = height_along(height[..., None], lines.cos_view[..., None], middle)
+    local_sun = ((PLANET_RADIUS + height) * lines.cos_sun)[..., None] + middle * cos_angle[..., None]
     local_sun = torch.clamp(local_sun / (PLANET_RADIUS + along), -1.0, 1.0)
     along_suns = along.expand_as(local_sun)
     lit = sunlit(along_suns, local_sun)
-    ground_sun = torch.clamp((radius * cos_sun + length * cos_angle) / PLANET_RADIUS, -1.0, 1.0)
-    sea = torch.zeros_like(ground_sun)
+    nothing = torch.zeros_like(local_sun[..., :1])
     return Paths(
         step=length[..., None, None] * (border[1:] - border[:-1])[:, None],
         density=density(along),
@@ -238,8 +268,8 @@ def paths(
         sun_column=_lit_column(along_suns, local_sun, lit),
         sunlit=lit[..., None],
         cos_sun=local_sun,
-        ground=(lands * torch.relu(ground_sun) * sunlit(sea, ground_sun))[..., None],
-        ground_column=_lit_column(sea, ground_sun, sunlit(sea, ground_sun)),
+        ground=nothing,
+        ground_column=nothing.expand(*nothing.shape[:-1], 3),
     )
 
 

@@ -291,7 +291,7 @@ def overcast_share(sky: Sky, direction: Float[Tensor, "*batch 3"]) -> Float[Tens
 def quadrature(sky: Sky, view: SkyView, fineness: Fineness = USUAL) -> Float[Tensor, "*batch 3"]:
     """Radiance of the sky [W/(m² sr)] from light scattered along straight rays, by `sky_reference`; float64 only."""
     air, cos_sun = medium(sky), view.to_sun[2]
-    found = sky_reference.in_scatter(air, view.direction, view.to_sun, view.eye_altitude, fineness)
+    found, _ = sky_reference.in_scatter(air, view, torch.full_like(cos_sun, math.inf), fineness)
     top = torch.full_like(cos_sun, overcast.TOP)
     mean = sky_reference.mean_radiance(air, top[None], cos_sun[None], fineness)[0, 0]
     direct = sky_reference.sunlight(air, top, cos_sun) * torch.relu(cos_sun)

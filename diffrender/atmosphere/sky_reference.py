@@ -16,6 +16,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from diffrender.atmosphere.scattering import PLANET_RADIUS, SUN_RADIUS, TOP, Medium, density
+from diffrender.atmosphere.sky_view import SkyView
 from diffrender.parameters import record
 
 # Heights [m] between which the rule is applied; the ozone's tent bends at 10, 25 and 40 km.
@@ -51,23 +52,23 @@ class Nodes:
 
 
 def in_scatter(
-    air: Medium,
-    direction: Float[Tensor, "*batch 3"],
-    to_sun: Float[Tensor, "3"],
-    eye_altitude: Float[Tensor, ""],
-    fineness: Fineness = USUAL,
-) -> Float[Tensor, "*batch 3 3"]:
-    """Light per irradiance of the sun [1/sr] by air and by haze, phase functions left out, and by higher orders."""
-    height = eye_altitude.expand(direction.shape[:-1])
-    ray = _nodes(height, direction[..., 2], MANY_BORDERS, fineness.along)
-    local_sun = _sun_along(height, to_sun[2], (direction * to_sun).sum(-1), ray)
+    air: Medium, view: SkyView, length: Float[Tensor, "*#batch"], fineness: Fineness = USUAL
+) -> tuple[Float[Tensor, "*batch 3 3"], Float[Tensor, "*batch 3"]]:
+    """Light that rays gather within a length [m], which may be infinite, and the share of light that passes it.
+
+    Light is per irradiance of the sun [1/sr]: by air and by haze, phase functions left out, and by higher orders.
+    """
+    height = view.eye_altitude.expand(view.direction.shape[:-1])
+    ray = _nodes(height, view.direction[..., 2], MANY_BORDERS, fineness.along, length)
+    local_sun = _sun_along(height, view.to_sun[2], (view.direction * view.to_sun).sum(-1), ray)
     species = density(ray.height)
-    weight, _ = _weights(air, ray, species)
+    weight, through = _weights(air, ray, species)
     direct = weight * sunlight(air, ray.height, local_sun, fineness.along)
     by_air = (direct * species[..., :1]).sum((-3, -2)) * air.rayleigh
     by_haze = (direct * species[..., 1:2]).sum((-3, -2)) * air.haze_scattering
     around = _mean_radiance_between(air, ray.height, local_sun, fineness)
-    return torch.stack([by_air, by_haze, (weight * (species @ air.scattering()) * around).sum((-3, -2))], -2)
+    higher = (weight * (species @ air.scattering()) * around).sum((-3, -2))
+    return torch.stack([by_air, by_haze, higher], -2), through
 
 
 def sunlight(
@@ -150,8 +151,10 @@ def _mean_radiance_between(air: Medium, height: Tensor, cos_sun: Tensor, finenes
     return torch.exp(torch.einsum("...i,ijc,...j->...c", of_row, table, of_column)) - _DARK
 
 
-def _nodes(height: Tensor, cosine: Tensor, borders: tuple[float, ...], count: int) -> Nodes:
-    """Nodes of rays from a height at a cosine from the zenith to the ground or to space.
+def _nodes(
+    height: Tensor, cosine: Tensor, borders: tuple[float, ...], count: int, length: Tensor | float = math.inf
+) -> Nodes:
+    """Nodes of rays from a height at a cosine from the zenith to the ground or to space, or as far as a length.
 
     Places on a ray are counted from its lowest point; where it crosses the borders, one panel ends and another begins.
     """
@@ -160,7 +163,7 @@ def _nodes(height: Tensor, cosine: Tensor, borders: tuple[float, ...], count: in
     border = PLANET_RADIUS + torch.tensor(borders, dtype=torch.float64)
     crossing = torch.sqrt(torch.relu(border.square() - lowest_square[..., None]))
     lands = (cosine < 0.0) & (lowest_square < PLANET_RADIUS**2)
-    end = torch.where(lands, -crossing[..., 0], crossing[..., -1])
+    end = torch.minimum(torch.where(lands, -crossing[..., 0], crossing[..., -1]), start + length)
     limit = torch.cat([-crossing.flip(-1), crossing], -1)
     limit = torch.maximum(torch.minimum(limit, end[..., None]), start[..., None])
     half, first = (limit[..., 1:] - limit[..., :-1]) / 2.0, limit[..., :-1]

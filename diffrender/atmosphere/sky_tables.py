@@ -97,6 +97,17 @@ def in_scatter(
 ) -> Float[Tensor, "*batch 3 3"]:
     """Light per irradiance [1/sr] scattered by air and by haze, without phase functions, and of higher orders."""
     weights, _ = scattering.step_weights(air, rays)
+    return gathered(air, rays, weights, mean, reach)
+
+
+def gathered(
+    air: Medium,
+    rays: Paths,
+    weights: Float[Tensor, "*rays n 3"],
+    mean: Float[Tensor, "heights suns 3"],
+    reach: Float[Tensor, "2"],
+) -> Float[Tensor, "*batch 3 3"]:
+    """The same by weights of each step that are known already."""
     around = multiple.look_up(mean, reach, rays.height, rays.cos_sun)
     higher = (weights * (rays.density @ air.scattering()) * around).sum(-2)
     return torch.stack([*scattered_once(air, rays, weights), higher], -2)
