@@ -17,6 +17,7 @@ from torch import Tensor
 
 from diffrender.antialiasing.settings import AntiAliasing
 from diffrender.atmosphere import sky
+from diffrender.atmosphere.aerial_perspective import AerialPerspective
 from diffrender.atmosphere.celestial import Sun, SunView, pre_exposed, to_sun
 from diffrender.atmosphere.far_fog import FarFog
 from diffrender.atmosphere.height_fog import HeightFog
@@ -44,6 +45,7 @@ class Scene:
     sun: Sun
     sky: Sky | None
     height_fog: HeightFog | None = None  # of the ground, which whole-sky pictures do not show
+    aerial_perspective: AerialPerspective | None = None  # likewise
     far_fog: FarFog | None = None
     antialiasing: AntiAliasing | None = None
 
