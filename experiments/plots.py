@@ -1,5 +1,6 @@
 """Charts of the experiments' JSON files; each is written beside its file."""
 
+import itertools
 import json
 import math
 from collections.abc import Mapping, Sequence
@@ -283,4 +284,23 @@ def day_panoramas(path: Path) -> None:
         axes.yaxis.label.set_size("small")
     figure.axes[0].legend(ncols=3, fontsize="small")
     figure.axes[-1].set_xlabel("hour")
+    figure.savefig(path.with_suffix(".png"), dpi=100)
+
+
+def far_fog_conversion(path: Path) -> None:
+    """Opacity against distance of far fogs, and dashed of the height fogs fitted to them: a panel for each."""
+    content = json.loads(path.read_text(encoding="utf-8"))
+    errors = {row["fog"]: row["root_mean_square"] for row in content["far_as_height"]}
+    figure = Figure(figsize=(12.0, 1.0 + 2.3 * math.ceil(len(errors) / 4)), layout="constrained")
+    panels = figure.subplots(math.ceil(len(errors) / 4), 4, sharex=True, sharey=True, squeeze=False)
+    for panel, fog in itertools.zip_longest(panels.flat, errors):
+        panel.set_visible(fog is not None)
+        for colour, row in enumerate(one for one in content["opacities"] if one["fog"] == fog):
+            label = f"{row['elevation_degrees']:g} degrees up"
+            panel.plot(row["distance"], row["far"], color=f"C{colour}", label=label)
+            panel.plot(row["distance"], row["height"], "--", color=f"C{colour}")
+        panel.set(xscale="log", title=f"{fog}: rms {errors.get(fog, 0.0):.3f}")
+    figure.supxlabel("distance [m]; dashed: height fog")
+    figure.supylabel("opacity of far fog")
+    figure.legend(*panels.flat[0].get_legend_handles_labels(), loc="outside upper center", ncols=3, fontsize="small")
     figure.savefig(path.with_suffix(".png"), dpi=100)
