@@ -113,6 +113,7 @@ def fog(
     distance_kind: Annotated[str, typer.Option(help="euclidean, along rays, or depth, along the axis.")] = "euclidean",
     clear: Annotated[Path | None, typer.Option(help="The same view without fog.")] = None,
     eye_height: Annotated[float, typer.Option(help="Altitude of the camera above the fog's altitude 0, m.")] = 2.0,
+    model: Annotated[str, typer.Option(help="height, a layer of fog, or aerial, the air of a landscape.")] = "height",
     with_sky: Annotated[
         bool, typer.Option("--with-sky", help="Fit the sky of the photo first, in as many --seconds again.")
     ] = False,
@@ -140,12 +141,13 @@ def fog(
     """
     with _progress("starting", quiet):
         from fit import fog as fog_fit
-        from fit import fog_picture, hidden_sun, options, results
+        from fit import fog_models, hidden_sun, options, results
         from fit import photo as photos
         from fit import sky as sky_fit
         from fit import sun as sun_place
 
         _use_threads()
+    solve = fog_models.model(model)
     folder = results.folder(out, photo)
     shot = options.shot(latitude, longitude, time, heading)
     place = sun_place.given(sun) if sun is not None else shot.sun()
@@ -179,12 +181,12 @@ def fog(
             seconds=seconds,
             seed=seed,
         )
-        found = fog_fit.solve(seen, asked)
+        solution, draw = solve(seen, asked)
         if above is not None:
-            found = found.under(above)
+            solution = fog_fit.under(solution, above)
     with _progress("writing", quiet):
-        results.write(folder, seen, found.solution, shot.completed(seen.header), partial(fog_picture.draw, found))
-    return _ended(folder, found.solution, quiet)
+        results.write(folder, seen, solution, shot.completed(seen.header), draw)
+    return _ended(folder, solution, quiet)
 
 
 @app.command()

@@ -14,9 +14,12 @@ from functools import partial
 from importlib.metadata import version
 from itertools import product
 from pathlib import Path
+from typing import Protocol
 
 import numpy as np
 import torch
+from jaxtyping import Float
+from torch import Tensor
 
 from diffrender.atmosphere.celestial import Sun
 from diffrender.atmosphere.height_fog import HeightFog
@@ -24,7 +27,7 @@ from diffrender.parameters import defaults, specifications
 from diffrender.scene import Exposure, Scene, places, skylight, weather_names
 from fit import account, foggy_photo, hidden_sun, keyframes, residual_covariance, selection, sun
 from fit import photo as photos
-from fit.fog_objective import FogObjective, Lights
+from fit.fog_objective import FogObjective, FogPixels, Lights
 from fit.foggy_photo import FoggyPhoto, Options
 from fit.gauss_newton import half_square
 from fit.input_error import InputError
@@ -84,20 +87,17 @@ class Fogged:
     seen: FoggyPhoto
     objective: FogObjective
 
-    def under(self, sky: Solution) -> "Fogged":
-        """The same with the account of the sky that was fitted to the photo first."""
-        minimum = sky.minimum
-        ended = (
-            f"mean square error of log radiance {sky.error:.4g}, {'converged' if minimum.converged else minimum.reason}"
-        )
-        own = self.solution
-        of_sky = {"kept", place.how} if (place := sky.sun) else {"kept"}
-        parameters = {
-            name: sky.parameters[name] if name in sky.parameters and found.why in of_sky else found
-            for name, found in own.parameters.items()
-        }
-        notes = (*own.notes, f"the sky was fitted first: {ended}")
-        return replace(self, solution=replace(own, parameters=parameters, notes=notes))
+
+def under(own: Solution, sky: Solution) -> Solution:
+    """A solution with the account of the sky that was fitted to the photo first."""
+    minimum = sky.minimum
+    ended = f"mean square error of log radiance {sky.error:.4g}, {'converged' if minimum.converged else minimum.reason}"
+    of_sky = {"kept", place.how} if (place := sky.sun) else {"kept"}
+    parameters = {
+        name: sky.parameters[name] if name in sky.parameters and found.why in of_sky else found
+        for name, found in own.parameters.items()
+    }
+    return replace(own, parameters=parameters, notes=(*own.notes, f"the sky was fitted first: {ended}"))
 
 
 def solve(photo: Photo, options: Options) -> Fogged:
@@ -121,7 +121,7 @@ def solve(photo: Photo, options: Options) -> Fogged:
         return minimise(objective, start, Budget(seconds=left, seed=options.seed))
 
     minimum = search(objective, start)
-    known = _known(objective, minimum.point)
+    known = known_of(objective, minimum.point)
     open_ones = selection.undetermined(dict(zip(space.free, known.why, strict=False)), overcast=None)
     pinned = {name: why for name, why in open_ones.items() if name not in (*options.free, DENSITY)}
     if pinned and len(pinned) < len(minimum.point) and minimum.reason != INTERRUPTED:
@@ -136,7 +136,7 @@ def solve(photo: Photo, options: Options) -> Fogged:
     if minimum.reason != INTERRUPTED:
         objective = seen.objective(space, FINE_PIXELS, options.seed)
         minimum = search(objective, minimum.point)
-    known = _known(objective, minimum.point)
+    known = known_of(objective, minimum.point)
     point = torch.from_numpy(minimum.point)
     lights = objective.lights(point)
     scene = _lit(home, space.scene(point[: len(space.free)]), lights)
@@ -235,7 +235,19 @@ def _start(objective: FogObjective, options: Options) -> Point:
 # What was found
 
 
-def _known(objective: FogObjective, point: Point) -> Uncertainty:
+class Compared(Protocol):
+    """An objective whose first residuals are differences of some pixels."""
+
+    @property
+    def pixels(self) -> FogPixels:
+        """Those that are compared."""
+
+    def jacobian(self, point: Float[Tensor, " n"]) -> tuple[Float[Tensor, " m"], Float[Tensor, "m n"]]:
+        """Residuals and their derivatives by each coordinate."""
+
+
+def known_of(objective: Compared, point: Point) -> Uncertainty:
+    """How well each coordinate of a point is known."""
     residuals, slopes = objective.jacobian(torch.from_numpy(point))
     shape = tuple(objective.pixels.radiance.shape)
     count = objective.pixels.radiance.numel()

@@ -1,5 +1,6 @@
 """What a fog fit makes small: relative differences between photo and fog, all light in it solved in closed form."""
 
+import math
 from dataclasses import dataclass
 from itertools import product
 
@@ -101,10 +102,9 @@ class FogObjective:
         difference = (lights.picture() - pixels.radiance) / self.scale
         if pixels.clear is None:
             difference = difference + TOO_DARK * torch.relu((lights.fog() - pixels.radiance) / self.scale)
-        robust = difference * torch.sqrt(2.0 / (1.0 + torch.sqrt(1.0 + (difference / ROBUST_WIDTH).square())))
         begun = torch.from_numpy(self.space.point(self.space.start)).to(point)
         away = point - torch.cat([begun, begun.new_full((self.extra,), 0.5)])
-        parts = [robust.flatten() / difference.numel() ** 0.5, PRIOR_WEIGHT * away]
+        parts = [robust(difference), PRIOR_WEIGHT * away]
         if self.greatest is not None:
             strength = torch.stack([lights.strength[0], lights.ambient()])
             parts.append(TOO_BRIGHT * torch.relu(strength / self.greatest - 1.0).flatten())
@@ -131,7 +131,13 @@ class FogObjective:
         else:
             known = transmittance * _surfaces(pixels.clear, point[-1], depth_to_sun(fog, pixels.rays, mass))
         columns = torch.stack(seen, -2)
-        return Lights(columns, known, _strengths(columns / self.scale[:, None], (pixels.radiance - known) / self.scale))
+        return Lights(columns, known, strengths(columns / self.scale[:, None], (pixels.radiance - known) / self.scale))
+
+
+def robust(difference: Float[Tensor, "n 3"]) -> Float[Tensor, " m"]:
+    """Residuals of relative differences, of which large ones count less; their squares sum to a mean."""
+    softened: Tensor = difference * torch.sqrt(2.0 / (1.0 + torch.sqrt(1.0 + (difference / ROBUST_WIDTH).square())))
+    return softened.flatten() / math.sqrt(difference.numel())
 
 
 def surfaces(scene: Scene, pixels: FogPixels, change: Tensor) -> Float[Tensor, "n 3"]:
@@ -173,7 +179,7 @@ def depth_to_sun(fog: HeightFog, rays: Rays, mass: Float[Tensor, "1"]) -> Float[
     return torch.clamp(depth, max=height_fog.OPAQUE) * (~rays.length.isinf())[..., None]
 
 
-def _strengths(seen: Float[Tensor, "n lights 3"], photo: Float[Tensor, "n 3"]) -> Float[Tensor, "lights 3"]:
+def strengths(seen: Float[Tensor, "n lights 3"], photo: Float[Tensor, "n 3"]) -> Float[Tensor, "lights 3"]:
     """Strengths from 0 up whose sum of squared differences is least: the best of every choice of lights that are on.
 
     There are at most 32 choices, and each is a small system of equations, so that all of this differentiates.

@@ -86,13 +86,17 @@ class FoggyPhoto:
         return self.used if self.distance is None else ~np.isnan(self.distance)
 
     def objective(self, space: SearchSpace, count: int, seed: int) -> FogObjective:
-        """Objective over pixels drawn from as many stretches of the used ones, row by row."""
+        """Objective over a sample of pixels."""
+        return FogObjective(space, *self.sample(count, seed), self._greatest_lights)
+
+    def sample(self, count: int, seed: int) -> tuple[FogPixels, Float[Tensor, "n 3"]]:
+        """Pixels drawn from as many stretches of the used ones, row by row, and what differences are relative to."""
         line, column = np.nonzero(self.used)
         stretches = np.linspace(0.0, len(line), min(count, len(line)), endpoint=False)
         drawn = np.random.default_rng(seed).random(len(stretches)) * (len(line) / len(stretches))
         chosen = np.minimum((stretches + drawn).astype(int), len(line) - 1)
         line, column = line[chosen], column[chosen]
-        return FogObjective(space, self.at(line, column), self._smoothed(line, column), self._greatest_lights)
+        return self.at(line, column), self._smoothed(line, column)
 
     @cached_property
     def _greatest_lights(self) -> Float[Tensor, "2 3"] | None:
