@@ -65,6 +65,15 @@ def test_behind_all_air_is_the_sky():
     torch.testing.assert_close(draw("march", seen), wanted, rtol=5e-3, atol=0.0)  # fewer steps than the sky's
 
 
+@pytest.mark.parametrize("sun", [60.0, 5.0])
+def test_the_background_of_two_tables_is_the_horizon_of_the_skys_two_tables(sun):
+    seen = view(math.inf, 0.0, [0.0, 60.0, 120.0, 180.0], sun=sun)
+    plain = defaults(Sky, FLOAT)
+    same_haze = replace(plain, coarse_haziness=plain.haziness)
+    wanted = sky.EFFECT.rungs["two tables"](same_haze, seen.view)  # with large particles when they were made
+    torch.testing.assert_close(draw("two tables", seen), wanted, rtol=0.03, atol=0.0)
+
+
 @pytest.mark.parametrize("sun", [60.0, 10.0])
 def test_behind_all_air_tables_are_the_horizon_of_the_sky(sun):
     seen = view(math.inf, 0.0, [0.0, 60.0, 120.0, 180.0], sun=sun)

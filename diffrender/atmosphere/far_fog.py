@@ -2,7 +2,7 @@
 
 The talk shows the numbers, one column for each hour, and no formula. What they mean here is ours, so chosen that its
 own columns are fog that one can look at. An extinction [1/m] times a thickness [m] is an optical depth: 2 by night in
-the talk's file and 2.5 by day, though each of the two changes four thousandfold. So a level ray at the standard height
+the talk's file and 2.5 by day, though either factor changes thousandfold. So a level ray at the standard height
 gathers that depth on its way from ZNEAR to ZFAR, however far apart they are, but for what the decays take away:
 
     density = THICKNESS EXTINCTION / (ZFAR - ZNEAR) exp(-DISTANCE_DECAY (distance - ZNEAR))
