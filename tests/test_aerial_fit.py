@@ -16,6 +16,7 @@ from fit.input_error import InputError
 from fit.solution import SunPlace
 
 pytest_plugins = ["command_fixtures"]
+pytestmark = pytest.mark.usefixtures("one_thread")
 
 CAMERA = Perspective(48, 24, np.radians(60.0), np.radians(-1.0))
 EYE = 150.0
@@ -26,15 +27,6 @@ GIVEN = Options(sun=SUN, eye_height=EYE)
 WEATHER = {**TRUTH, "SUN_ELEVATION": SUN.elevation, "SUN_AZIMUTH": SUN.azimuth} | {
     f"SUN_IRRADIANCE_{channel}": value for channel, value in zip("RGB", IRRADIANCE, strict=True)
 }
-
-
-@pytest.fixture(scope="module", autouse=True)
-def one_thread():
-    """As the command does: threads that wait for each other take many times as long on a busy machine."""
-    threads = torch.get_num_threads()
-    torch.set_num_threads(1)
-    yield
-    torch.set_num_threads(threads)
 
 
 def landscape(noise=0.01, **changed):

@@ -18,20 +18,12 @@ from fit.input_error import InputError
 from fit.search_space import SearchSpace
 
 pytest_plugins = ["command_fixtures"]
+pytestmark = pytest.mark.usefixtures("one_thread")
 
 # Whose truth is the default; one test searches them.
 SHARES = {f"HEIGHT_FOG_RAYLEIGH_SHARE_{channel}": 0.2 for channel in "RGB"}
 GIVEN = Options(sun=SUN, eye_height=EYE, fixed=SHARES)
 DENSITY_ALONE = replace(GIVEN, fixed=SHARES | {name: TRUTH[name] for name in TRUTH if name != "HEIGHT_FOG_EXTINCTION"})
-
-
-@pytest.fixture(scope="module", autouse=True)
-def one_thread():
-    """As the command does: threads that wait for each other take many times as long on a busy machine."""
-    threads = torch.get_num_threads()
-    torch.set_num_threads(1)
-    yield
-    torch.set_num_threads(threads)
 
 
 @pytest.fixture(scope="module")

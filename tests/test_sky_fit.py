@@ -18,16 +18,8 @@ PHOTOS = Path(__file__).parents[1] / "experiments" / "photos"
 GIVEN = Options(sun=SUN)
 SEEN = radiance()
 
-pytestmark = pytest.mark.slow  # a fit takes about a second
-
-
-@pytest.fixture(scope="module", autouse=True)
-def one_thread():
-    """As the command does: threads that wait for each other take many times as long on a busy machine."""
-    threads = torch.get_num_threads()
-    torch.set_num_threads(1)
-    yield
-    torch.set_num_threads(threads)
+pytest_plugins = ["command_fixtures"]
+pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("one_thread")]  # a fit takes about a second
 
 
 @pytest.fixture(scope="module")
