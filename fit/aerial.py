@@ -133,7 +133,7 @@ def solve(photo: Photo, options: Options) -> Aerial:
         effect="fog",
         photo=photo.path.name,
         camera=photo.camera,
-        notes=(*photo.notes, *seen.notes, "the sky is not looked at: aerial perspective is of what has a distance"),
+        notes=(*photo.notes, *seen.notes, *_notes(options)),
         scene=scene,
         parameters=parameters,
         correlated=tuple(names[index] for index in kept),
@@ -151,6 +151,13 @@ def solve(photo: Photo, options: Options) -> Aerial:
         versions={name: version(name) for name in ("diffrender", "torch", "numpy", "scipy", "nlopt")},
     )
     return Aerial(solution, seen, objective)
+
+
+def _notes(options: Options) -> list[str]:
+    notes = ["aerial perspective is fitted to what has a distance alone, not to the sky"]
+    if options.clear is None:
+        notes.append("without --clear the air is hardly told from surfaces that grow paler with distance")
+    return notes
 
 
 @dataclass(frozen=True, eq=False)

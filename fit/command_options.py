@@ -15,7 +15,11 @@ Heading = Annotated[
 ]
 Sun = Annotated[
     str | None,
-    typer.Option("--sun", metavar="ELEVATION,AZIMUTH", help="Degrees; azimuth to the right of the middle column."),
+    typer.Option(
+        "--sun",
+        metavar="ELEVATION,AZIMUTH",
+        help="Degrees; azimuth to the right of the middle column. Goes before place and time.",
+    ),
 ]
 Latitude = Annotated[
     float | None,

@@ -6,6 +6,7 @@ asked, and the versions of what computed it. A photo or an option that has chang
 
 import hashlib
 import json
+import re
 from collections.abc import Sequence
 from dataclasses import asdict
 from datetime import datetime
@@ -16,6 +17,7 @@ from fit.day_photo import Asked, of_text
 from fit.input_error import InputError
 from fit.whole_file import write_bytes
 
+_OURS = re.compile(r".*-[0-9a-f]{16}\.json|\.[0-9a-f]{16}\.part", re.DOTALL)
 VERSIONS = ("diffrender", "torch", "numpy", "scipy", "nlopt", "pvlib")
 
 
@@ -76,7 +78,7 @@ def clear(parts: Path, wanted: Sequence[Path]) -> None:
     """
     try:
         for left in parts.iterdir() if parts.is_dir() else ():
-            if left.suffix in (".json", ".part") and left not in wanted:
+            if _OURS.fullmatch(left.name) and left not in wanted:
                 left.unlink()
     except OSError as error:
         raise InputError(f"{parts} cannot be cleared ({error.strerror}); remove it, or give another --out") from error

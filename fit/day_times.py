@@ -8,6 +8,7 @@ from pathlib import Path
 
 from fit import photo as photos
 from fit.input_error import InputError
+from fit.sun import YEARS
 
 EXAMPLE = "2016-08-14T06:30+02:00"
 LARGEST = 2**20  # bytes of a table: ten thousand photos
@@ -40,8 +41,20 @@ def read(path: Path) -> dict[str, datetime]:
             raise InputError(f"{where}: {text} has no zone; add it, as in {text}+02:00")
         if name in found:
             raise InputError(f"{where}: {name} stands twice; keep one row of it")
+        _check(time, where)
         found[name] = time
     return found
+
+
+def _check(time: datetime, where: str) -> None:
+    """Refuse a time that no weather file's header can hold, or no table of the sun has."""
+    offset = time.utcoffset()
+    if offset is not None and offset.total_seconds() % 60.0:
+        raise InputError(f"{where}: the zone of {time.isoformat()} has seconds; give whole minutes, as in {EXAMPLE}")
+    if not YEARS[0] <= time.year < YEARS[1]:
+        raise InputError(
+            f"{where}: the year of {time.isoformat()}; allowed are those from {YEARS[0]} to {YEARS[1] - 1}"
+        )
 
 
 def _rows(path: Path) -> list[tuple[int, list[str]]]:
@@ -58,7 +71,9 @@ def _rows(path: Path) -> list[tuple[int, list[str]]]:
         raise InputError(f"{path} has more than {LARGEST} bytes; is it a table of times?")
     lines = [line.removesuffix("\r") for line in text.split("\n")]
     try:
-        return [(number, next(csv.reader([line]))) for number, line in enumerate(lines, start=1) if line.strip()]
+        between = next((letter for letter in ",;\t" if letter in text), ",")
+        filled = [(number, line) for number, line in enumerate(lines, start=1) if line.strip()]
+        return [(number, next(csv.reader([line], delimiter=between))) for number, line in filled]
     except csv.Error as error:
         raise InputError(f"{path}: {error}; give --times a CSV of file names and times") from None
 
@@ -100,4 +115,5 @@ def _of_photo(path: Path, given: datetime | None) -> datetime:
         raise InputError(f"{path} has no time in its header or its name; give --times a CSV with {path.name},{EXAMPLE}")
     if time.tzinfo is None:
         raise InputError(f"{path} has a time without a zone in its name; add it, as in {EXAMPLE}, or give --times CSV")
+    _check(time, str(path))
     return time

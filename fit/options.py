@@ -101,7 +101,7 @@ def scene_at(weather: Path, hour: float, sun: str | None, taken: Shot) -> Scene:
     day = weather_file.read(weather)
     values = keyframes.at(day, hour)
     if place is None and not {"SUN_ELEVATION", "SUN_AZIMUTH"} & values.keys():
-        place = sun_of_weather(day.header, hour)
+        place = sun_of_weather(day.header, hour, taken.heading)
     if place is not None:
         values |= {"SUN_ELEVATION": place.elevation, "SUN_AZIMUTH": place.azimuth}
     return with_sky(keyframes.scene(values), weather)

@@ -76,8 +76,10 @@ class Shot:
         return found
 
 
-def sun_of_weather(header: Mapping[str, str], hour: float) -> SunPlace | None:
+def sun_of_weather(header: Mapping[str, str], hour: float, heading: float | None = None) -> SunPlace | None:
     """Sun at an hour by a weather file's header; None where it does not name place, date and zone.
+
+    A heading that is given goes before the header's.
 
     Raises:
         InputError: when it names them in a way that cannot be understood.
@@ -88,9 +90,10 @@ def sun_of_weather(header: Mapping[str, str], hour: float) -> SunPlace | None:
     said = ", ".join(f"{name}: {header[name]}" for name in wanted)
     try:
         midnight = datetime.fromisoformat(f"{header['date']}T00:00{header['zone']}")
-        latitude, longitude, heading = (float(header.get(name, "0")) for name in ("latitude", "longitude", "heading"))
+        latitude, longitude, told = (float(header.get(name, "0")) for name in ("latitude", "longitude", "heading"))
     except ValueError:
         raise InputError(
             f"the weather file's header says {said}; give degrees, a date such as 2016-08-14 and a zone such as +02:00"
         ) from None
-    return sun.from_place(latitude, longitude, midnight + timedelta(hours=hour), heading % 360.0)
+    middle = told if heading is None else heading
+    return sun.from_place(latitude, longitude, midnight + timedelta(hours=hour), middle % 360.0)

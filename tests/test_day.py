@@ -143,6 +143,8 @@ def test_a_header_without_a_zone_places_no_sun_and_a_strange_one_is_refused():
     assert sun_of_weather(header, 9.0) is None
     with pytest.raises(InputError, match=r"zone: here.*zone such as"):
         sun_of_weather(header | {"zone": "here"}, 9.0)
+    plain, turned = (sun_of_weather(header | {"zone": "+02:00"}, 9.0, heading) for heading in (None, 90.0))
+    assert (plain.azimuth - turned.azimuth) % 360.0 == pytest.approx(90.0)
 
 
 # Bad input

@@ -50,6 +50,8 @@ def test_a_table_is_read_with_and_without_head(tmp_path):
     headed = day_times.read(table)
     table.write_text("\ufeffa.exr, 2016-08-14T06:30+02:00\r\n")
     assert headed == day_times.read(table) == {"a.exr": MORNING}
+    table.write_text("\ufeffphoto;time\r\na.exr;2016-08-14T06:30+02:00\r\n")
+    assert headed == day_times.read(table)
 
 
 @pytest.mark.parametrize(
@@ -57,6 +59,8 @@ def test_a_table_is_read_with_and_without_head(tmp_path):
     [
         ("a.exr,2016-08-14T06:30", "row 1: 2016-08-14T06:30 has no zone"),
         ("photo,time\na.exr,noon", "row 2: time 'noon'"),
+        ("a.exr,2016-08-14T06:30+02:00:30", "row 1: the zone of .* has seconds; give whole minutes"),
+        ("a.exr,1500-08-14T06:30+02:00", "row 1: the year of .*; allowed are those from 1700 to 2199"),
         ("a.exr,12h", "row 1: time '12h'"),
         ("a.exr", "row 1: 'a.exr'"),
         ("a.exr,2016-08-14T06:30Z\na.exr,2016-08-14T06:30Z", "row 2: a.exr stands twice"),

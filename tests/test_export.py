@@ -84,9 +84,12 @@ def test_the_command_writes_and_tells_the_account(run, tmp_path):
     status, out, err = run("export", file, "--to", "threejs", "--hour", 7, "--sun", "1,2", "--out", tmp_path / "out")
     assert (status, err) == (0, "")
     assert out == (tmp_path / "out" / "export.txt").read_text() + f"written to {tmp_path / 'out'}\n"
-    assert out.startswith("Weather of day.csv at 7 h\nthree.js: ")
+    assert out.startswith("Weather of day.csv at 7 h, the sun 1 degrees above the horizon\nthree.js: ")
+    assert "VOLLIGHT_FARFOG_*" not in out
     assert three_data(tmp_path / "out")["to_sun"][2] == pytest.approx(math.sin(math.radians(1.0)))
+    weather_file.write(file, weather_file.of_photo(FOGGY | {"VOLLIGHT_FARFOG_ZFAR": 9e3}, 7.0, {}))
     assert run("export", file, "--to", "threejs", "--out", tmp_path / "out", "--quiet") == (0, "", "")
+    assert "  VOLLIGHT_FARFOG_*, which fits draw and exports do not\n" in (tmp_path / "out" / "export.txt").read_text()
 
 
 @pytest.mark.parametrize(

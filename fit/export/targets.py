@@ -1,6 +1,7 @@
 """Every target of `fit export` by its name, and the folder that is written for one."""
 
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 from diffrender.scene import Scene
@@ -33,14 +34,24 @@ def check(target: str) -> None:
         raise InputError(f"--to {target} is unknown; allowed are {', '.join(TARGETS)}")
 
 
+def _undrawn(scene: Scene) -> list[str]:
+    """What a weather file may hold and no target is given."""
+    parts = {"AERIAL_PERSPECTIVE": scene.aerial_perspective, "VOLLIGHT_FARFOG": scene.far_fog}
+    return [f"{prefix}_*, which fits draw and exports do not" for prefix, part in parts.items() if part is not None]
+
+
 def write(target: str, scene: Scene, name: str, hour: float, folder: Path) -> str:
     """Write a scene with a sky for a target into a folder, all files or none, and give the account of it.
 
     Raises:
         InputError: when a file cannot be written.
     """
-    exported = TARGETS[target](described(scene, name, hour))
-    text = f"Weather of {path_text(Path(name))} at {hour:g} h\n{exported.account.text()}\n"
+    weather = described(scene, name, hour)
+    exported = TARGETS[target](weather)
+    sun, side = abs(weather.elevation_degrees), "above" if weather.elevation_degrees >= 0.0 else "below"
+    account = replace(exported.account, drops=[*exported.account.drops, *_undrawn(scene)])
+    head = f"Weather of {path_text(Path(name))} at {hour:g} h, the sun {sun:.3g} degrees {side} the horizon"
+    text = f"{head}\n{account.text()}\n"
     with whole_folder(folder, last=ACCOUNT) as aside:
         for file, content in exported.texts.items():
             write_bytes(aside / file, content.encode())

@@ -42,9 +42,10 @@ def export(weather: Described) -> Exported:
         "the sky: the tables and formulas of `fit render` in GLSL; overcast share and the sun's disc with its limb too",
         "the sun as a DirectionalLight dimmed by air and clouds, and the sky as light by createEnvironment",
     ]
+    drops = ["anti-aliasing (AA_*), other hours"]
     if weather.scene.height_fog is not None:
         keeps.append("the fog: the closed form of `fit fog` in GLSL, by channel, before tone mapping")
-    drops = ["the fog's dimming of light on surfaces, shadows within the fog", "anti-aliasing (AA_*), other hours"]
+        drops.append("the fog's dimming of light on surfaces, shadows within the fog")
     return Exported({"weather.js": module}, {}, Account("three.js", VERIFIED, keeps, sentences, drops))
 
 
