@@ -182,7 +182,8 @@ def _interval(name: str, unit: float, error: float) -> tuple[float, float]:
 def summary(place: Path, day: Day) -> str:
     """What a day's photos said, in a few lines."""
     used = day.used()
-    lines = []
+    dates = sorted({f"{time:%Y-%m-%d}" for time in day.times})
+    lines = [] if len(dates) == 1 else [f"  photos of {len(dates)} dates, {dates[0]} to {dates[-1]}, taken for one day"]
     for index, (one, time) in enumerate(zip(day.estimates, day.times, strict=True)):
         if one.refused:
             lines.append(f"  {time:%H:%M} {one.photo}: left out, {one.refused}")

@@ -5,6 +5,7 @@ import math
 import sys
 from dataclasses import replace
 from datetime import datetime, timedelta, timezone
+from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
@@ -15,7 +16,7 @@ from synthetic_sky import HAZY_MORNING, save
 from diffrender.atmosphere import sky as skies
 from diffrender.rays import Equirectangular, Perspective
 from diffrender.scene import weather_names
-from fit import day, day_photo, day_sun, keyframes, photo, picture, sun, weather_file
+from fit import day, day_photo, day_results, day_sun, keyframes, photo, picture, sun, weather_file
 from fit.asked import Options
 from fit.day_curves import Observation
 from fit.input_error import InputError
@@ -337,3 +338,12 @@ def test_a_second_fit_takes_the_place_of_the_first_where_the_photo_is_as_well_to
     chosen = day._likelier(first, {0: replace(again[0], error=0.0102), 1: worse, 2: refused})
     assert [one.point[0] for one in chosen] == [0.7, 0.99, 0.99]
     assert chosen[0].held is None
+
+
+def test_photos_of_several_dates_are_told_of():
+    night = day_photo.Estimate("a.exr", "a night", -20.0, 0.0)
+    times = (time_at(1), time_at(2) + timedelta(days=30))
+    several = SimpleNamespace(used=list, times=times, estimates=(night, night), keyframes={})
+    assert "photos of 2 dates, 2020-06-21 to 2020-07-21, taken for one day" in day_results.summary(Path("out"), several)
+    one = SimpleNamespace(used=list, times=times[:1], estimates=(night,), keyframes={})
+    assert "dates" not in day_results.summary(Path("out"), one)
