@@ -147,8 +147,8 @@ def catmull_rom(
 ) -> Float[Tensor, "*batch h w channels"]:
     """Value of a picture at places by the cubic through 4 x 4 pixel centres; at a centre that pixel, to the bit.
 
-    Keeps detail that `bilinear` blurs, at four times its cost; overshoots at edges by up to an eighth of their step in
-    each direction.
+    Keeps detail that `bilinear` blurs, from four times its pixels; overshoots at edges by up to an eighth of their step
+    in each direction.
 
     Gradient: of the picture, exact; of the place, continuous.
     Source: E. Catmull, R. Rom, "A class of local interpolating splines", Computer Aided Geometric Design, 1974.

@@ -119,10 +119,11 @@ def fit(photos: Sequence[Path], options: Options, tell: Tell = quietly) -> Day:
         day_parts.clear(options.parts, [])
     tasks = [(photo, time, options.asked) for photo, time in zip(photos, times, strict=True)]
     first = _estimates(tasks, options, tell)
-    again = _again(tasks, first)
+    again = _again(tasks, list(first.values()))
     second = _estimates(list(again.values()), options, tell)
-    day_parts.clear(options.parts, [day_parts.place(options.parts, *task) for task in (*tasks, *again.values())])
-    return together(_likelier(first, dict(zip(again, second, strict=True))), times, options)
+    day_parts.clear(options.parts, [*first, *second])
+    chosen = _likelier(list(first.values()), dict(zip(again, second.values(), strict=True)))
+    return together(chosen, times, options)
 
 
 def hour(time: datetime) -> float:
@@ -137,8 +138,8 @@ def _check_names(photos: Sequence[Path]) -> None:
         raise InputError(f"two photos are named {doubled}; rename one of them, or give it once")
 
 
-def _estimates(tasks: Sequence[Task], options: Options, tell: Tell) -> list[Estimate]:
-    """What each photo says; each is kept as soon as it is known."""
+def _estimates(tasks: Sequence[Task], options: Options, tell: Tell) -> dict[Path, Estimate]:
+    """What each photo says, by the file where it is kept as soon as it is known."""
     places = [day_parts.place(options.parts, *task) for task in tasks]
     texts = {place: text for place in places if (text := day_parts.found(place)) is not None}
     missing = [(str(place), *task) for place, task in zip(places, tasks, strict=True) if place not in texts]
@@ -147,7 +148,7 @@ def _estimates(tasks: Sequence[Task], options: Options, tell: Tell) -> list[Esti
         day_parts.keep(Path(name), text)
         texts[Path(name)] = text
         tell(len(texts), len(places))
-    return [of_text(texts[place]) for place in places]
+    return {place: of_text(texts[place]) for place in places}
 
 
 def _again(tasks: Sequence[Task], estimates: Sequence[Estimate]) -> dict[int, Task]:

@@ -37,7 +37,7 @@ def check(target: str) -> None:
 def _undrawn(scene: Scene) -> list[str]:
     """What a weather file may hold and no target is given."""
     parts = {"AERIAL_PERSPECTIVE": scene.aerial_perspective, "VOLLIGHT_FARFOG": scene.far_fog}
-    return [f"{prefix}_*, which fits draw and exports do not" for prefix, part in parts.items() if part is not None]
+    return [f"{prefix}_*, which no export draws" for prefix, part in parts.items() if part is not None]
 
 
 def write(target: str, scene: Scene, name: str, hour: float, folder: Path) -> str:
