@@ -3,13 +3,15 @@
     python -m experiments.day_workers time
     python -m experiments.day_workers same
 
-`time` fits every so many-th of the photos on one worker and on two, both warm: each has fitted two photos before the
-clock runs. `same` fits all of them on this machine's processors, then on a dask cluster of three workers on loopback,
-one of which is killed when a third of the photos is fitted (extra `cluster`; left out where dask is not installed).
+`time` fits every so many-th of the photos on one worker and on two in turn, both warm: each has fitted two photos
+before the clock runs. `same` fits all of them on this machine's processors, then on a dask cluster of three workers on
+loopback, one of which is killed when a third of the photos is fitted (extra `cluster`; left out where dask is not
+installed).
 """
 
 import argparse
 import importlib.util
+import itertools
 import os
 import resource
 import shutil
@@ -19,6 +21,7 @@ import sys
 import tempfile
 import time
 from collections.abc import Sequence
+from dataclasses import asdict
 from datetime import datetime
 from pathlib import Path
 from typing import Any
@@ -28,6 +31,7 @@ import joblib
 from experiments import day_photos
 from experiments.fit_command import MEMORY_UNIT, run_well
 from experiments.records import RESULTS, table, write
+from experiments.timing import Spread, spread
 from fit import day_times
 from fit.day_photo import Asked, fitted
 from fit.day_sun import Turned
@@ -35,7 +39,7 @@ from fit.day_sun import Turned
 COMMAND = (sys.executable, "-m", "fit", "day")
 PORT = 18787
 WORKERS = 3
-SIZES = {"small": (4, 64, 2), "full": (200, 128, 8)}  # photos, width, every so many-th timed
+SIZES = {"small": (4, 64, 2, 1), "full": (200, 128, 4, 4)}  # photos, width, every so many-th timed, rounds
 ASKED = Asked(day_photos.LATITUDE, day_photos.LONGITUDE, Turned(heading=day_photos.HEADING))
 
 
@@ -99,20 +103,16 @@ def on_dask(photos: Sequence[Path], out: Path) -> dict[str, Any]:
 
 def time_of_workers(folder: Path, size: str) -> dict[str, Any]:
     """One worker against two."""
-    count, width, step = SIZES[size]
+    count, width, step, rounds = SIZES[size]
     photos = day_photos.write(folder / "photos", count, width)[::step]
-    records = [timed(photos, jobs) for jobs in (1, 2)]
-    return {
-        "photos": len(photos),
-        "of": count,
-        "records": records,
-        "ratio": records[0]["seconds"] / records[1]["seconds"],
-    }
+    found = [[timed(photos, jobs) for jobs in (1, 2)] for _ in range(rounds)]
+    ratio = spread([one["seconds"] / two["seconds"] for one, two in found])
+    return {"photos": len(photos), "of": count, "rounds": found, "ratio": asdict(ratio)}
 
 
 def same_file(folder: Path, size: str) -> dict[str, Any]:
     """This machine's processors against a cluster."""
-    count, width, _ = SIZES[size]
+    count, width, _, _ = SIZES[size]
     photos = day_photos.write(folder / "photos", count, width)
     by_loky = on_loky(photos, folder / "loky")
     if importlib.util.find_spec("distributed") is None:
@@ -142,10 +142,10 @@ def main(arguments: Sequence[str] | None = None) -> None:
     if asked.part == "time":
         rows = [
             [str(one["jobs"]), f"{one['seconds']:.1f}", ", ".join(f"{peak / 2**20:.0f}" for peak in one["peak_bytes"])]
-            for one in content["records"]
+            for one in itertools.chain(*content["rounds"])
         ]
         print(table(["workers", "seconds", "peak MiB of each"], rows))
-        print(f"{content['photos']} of {content['of']} photos: {content['ratio']:.2f} times as fast on two")
+        print(f"{content['photos']} of {content['of']} photos: {Spread(**content['ratio'])} times as fast on two")
     else:
         print(content["dask"] or "dask is not installed (extra `cluster`)")
 

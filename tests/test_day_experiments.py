@@ -53,8 +53,8 @@ def test_workers_are_timed_and_weighed(tmp_path, monkeypatch, capsys):
     monkeypatch.setattr(day_workers, "weighed", lambda *_: (os.getpid(), 2**20))
     day_workers.main(["time", "--size", "small", "--out", str(tmp_path)])
     content = json.loads((tmp_path / "day_workers_time.json").read_text())
-    assert [record["jobs"] for record in content["records"]] == [1, 2]
-    assert content["ratio"] > 0.0
+    assert [[record["jobs"] for record in one] for one in content["rounds"]] == [[1, 2]]
+    assert content["ratio"]["median"] > 0.0
     assert "times as fast on two" in capsys.readouterr().out
 
 
