@@ -249,7 +249,7 @@ def sharpening(
 def render(
     weather: Weather,
     out: Annotated[Path, typer.Option(help="OpenEXR file to write.")],
-    hour: Hour = 12.0,
+    hour: Hour = None,
     size: Annotated[str, typer.Option(metavar="WIDTHxHEIGHT", help="In pixels.")] = "1024x512",
     sun: Sun = None,
     latitude: Latitude = None,
@@ -271,9 +271,11 @@ def render(
 
     _use_threads()
     camera = options.camera(size, projection, fov, pitch)
-    scene = options.scene_at(weather, hour, sun, options.shot(latitude, longitude, time, heading))
+    taken = options.shot(latitude, longitude, time, heading)
+    at = options.hour_of(hour, taken)
+    scene = options.scene_at(weather, at, sun, taken)
     light = stored.light(scene, tables or [], blend)
-    picture.write(out, picture.draw(scene, camera, light), {"weather": weather.name, "hour": hour})
+    picture.write(out, picture.draw(scene, camera, light), {"weather": weather.name, "hour": at})
 
 
 @app.command()

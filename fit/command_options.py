@@ -38,4 +38,4 @@ Seed = Annotated[int, typer.Option(min=0, max=2**31 - 1, help="Of the sample of 
 Quiet = Annotated[bool, typer.Option("--quiet", help="Print nothing but errors.")]
 Time = Annotated[str | None, typer.Option(help="With its zone, such as 2016-08-14T06:30+02:00.")]
 Weather = Annotated[Path, typer.Argument(help="Weather file.")]
-Hour = Annotated[float, typer.Option(min=0, max=24, help="Of the day.")]
+Hour = Annotated[float | None, typer.Option(min=0, max=24, help="Of the day; else that of --time, else 12.")]

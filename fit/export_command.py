@@ -13,7 +13,7 @@ def export(
     weather: Weather,
     to: Annotated[str, typer.Option(help="unreal, unity, godot, blender or threejs.")],
     out: Annotated[Path | None, typer.Option(help="Folder for the files; else exported/<target>.")] = None,
-    hour: Hour = 12.0,
+    hour: Hour = None,
     sun: Sun = None,
     latitude: Latitude = None,
     longitude: Longitude = None,
@@ -33,7 +33,9 @@ def export(
     torch.set_num_threads(1)  # what more threads gain, they lose in waiting for each other
     targets.check(to)
     folder = results.folder(out or Path("exported") / to, weather)
-    scene = options.scene_at(weather, hour, sun, options.shot(latitude, longitude, time, heading))
-    account = targets.write(to, scene, weather.name, hour, folder)
+    taken = options.shot(latitude, longitude, time, heading)
+    at = options.hour_of(hour, taken)
+    scene = options.scene_at(weather, at, sun, taken)
+    account = targets.write(to, scene, weather.name, at, folder)
     if not quiet:
         say(f"{account}written to {folder}")

@@ -91,6 +91,13 @@ def shot(latitude: float | None, longitude: float | None, time: str | None, head
     return Shot(latitude, longitude, None if time is None else sun_place.parse_time(time), heading)
 
 
+def hour_of(hour: float | None, taken: Shot) -> float:
+    """Hour of the day that is given, else that of the time that places the sun, else noon."""
+    if hour is not None:
+        return hour
+    return 12.0 if taken.hour is None else taken.hour
+
+
 def scene_at(weather: Path, hour: float, sun: str | None, taken: Shot) -> Scene:
     """Scene of a weather file at an hour, its sun where it is given, else in the file, else by the file's header.
 

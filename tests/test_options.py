@@ -1,4 +1,5 @@
 import math
+from datetime import UTC, datetime
 
 import pytest
 import torch
@@ -6,6 +7,7 @@ import torch
 from diffrender import rays
 from fit import options
 from fit.input_error import InputError
+from fit.shot import Shot
 
 
 def test_values_are_taken_by_name():
@@ -62,6 +64,12 @@ def test_a_start_without_sky_is_refused(tmp_path):
 def test_a_broken_start_is_refused_with_its_place(tmp_path):
     with pytest.raises(InputError, match=r"day\.csv, row 3, column 3"):
         options.start(weather(tmp_path / "day.csv", "SKY_HAZINESS,0.3,much"))
+
+
+def test_the_hour_is_that_given_else_that_of_the_time_else_noon():
+    at = datetime(2020, 6, 1, 6, 30, tzinfo=UTC)
+    assert [options.hour_of(given, Shot(time=at)) for given in (9.0, 0.0, None)] == [9.0, 0.0, 6.5]
+    assert options.hour_of(None, Shot()) == 12.0
 
 
 # Camera
