@@ -15,15 +15,6 @@ from fit import __main__ as command
 from fit import png, weather_file
 
 
-@pytest.fixture(scope="module")
-def one_thread():
-    """As the command does: threads that wait for each other take many times as long on a busy machine."""
-    threads = torch.get_num_threads()
-    torch.set_num_threads(1)
-    yield
-    torch.set_num_threads(threads)
-
-
 @pytest.fixture
 def run(monkeypatch, capfd):
     """Run the command in this process: exit status, standard output, standard error."""

@@ -16,7 +16,6 @@ from fit.input_error import InputError
 from fit.solution import SunPlace
 
 pytest_plugins = ["command_fixtures"]
-pytestmark = pytest.mark.usefixtures("one_thread")
 
 CAMERA = Perspective(48, 24, np.radians(60.0), np.radians(-1.0))
 EYE = 150.0

@@ -18,7 +18,6 @@ from fit.input_error import InputError
 from fit.search_space import SearchSpace
 
 pytest_plugins = ["command_fixtures"]
-pytestmark = pytest.mark.usefixtures("one_thread")
 
 # Whose truth is the default; one test searches them.
 SHARES = {f"HEIGHT_FOG_RAYLEIGH_SHARE_{channel}": 0.2 for channel in "RGB"}

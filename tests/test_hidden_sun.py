@@ -60,16 +60,7 @@ def test_a_sun_that_stayed_says_why():
     assert found == replace(BEGUN, elevation=15.0, how=why)
 
 
-@pytest.fixture
-def one_thread():
-    threads = torch.get_num_threads()
-    torch.set_num_threads(1)
-    yield
-    torch.set_num_threads(threads)
-
-
 @pytest.mark.slow
-@pytest.mark.usefixtures("one_thread")
 def test_a_sun_that_no_disc_shows_is_recovered_with_its_error():
     solution = fit(photo(radiance({**HAZY_MORNING, "SUN_ELEVATION": 6.0, "SUN_AZIMUTH": -100.0})))
     found = solution.sun
@@ -86,7 +77,6 @@ def test_a_sun_that_no_disc_shows_is_recovered_with_its_error():
 
 
 @pytest.mark.slow
-@pytest.mark.usefixtures("one_thread")
 def test_a_night_is_fitted_where_both_mask_and_sun_are_given(tmp_path):
     seen = radiance()
     seen[4:28:3, 2:126:4] *= 1.5

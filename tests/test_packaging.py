@@ -98,7 +98,8 @@ def wheel(tmp_path_factory):
     [
         "python3 -m venv .venv && .venv/bin/pip install -c constraints.txt . && "
         ".venv/bin/fit sky experiments/photos/spruit_sunrise.exr",
-        "python3 -m venv .venv && .venv/bin/pip install -c constraints.txt -e '.[test]' && .venv/bin/python -m pytest",
+        "python3 -m venv .venv && .venv/bin/pip install -c constraints.txt -e '.[test]' && "
+        ".venv/bin/python -m pytest -n auto --dist loadfile",
     ],
     ids=["main job", "tests"],
 )

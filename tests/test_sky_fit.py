@@ -18,8 +18,7 @@ PHOTOS = Path(__file__).parents[1] / "experiments" / "photos"
 GIVEN = Options(sun=SUN)
 SEEN = radiance()
 
-pytest_plugins = ["command_fixtures"]
-pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("one_thread")]  # a fit takes about a second
+pytestmark = pytest.mark.slow  # a fit takes about a second
 
 
 @pytest.fixture(scope="module")
