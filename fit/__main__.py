@@ -109,7 +109,9 @@ def sky(
 @app.command()
 def fog(
     photo: Photo,
-    distance: Annotated[Path | None, typer.Option(help="OpenEXR of distances, m; else the photo's channel Z.")] = None,
+    distance: Annotated[
+        Path | None, typer.Option(help="OpenEXR of distances, m, or `level` for level ground; else the photo's Z.")
+    ] = None,
     distance_kind: Annotated[str, typer.Option(help="euclidean, along rays, or depth, along the axis.")] = "euclidean",
     clear: Annotated[Path | None, typer.Option(help="The same view without fog.")] = None,
     eye_height: Annotated[float, typer.Option(help="Altitude of the camera above the fog's altitude 0, m.")] = 2.0,

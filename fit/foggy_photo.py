@@ -35,7 +35,7 @@ class Options(asked.Options):
     """What may be asked of a fog fit beside what may be asked of every fit.
 
     Attributes:
-        distance: OpenEXR file; None takes the photo's own channel Z, if it has one.
+        distance: OpenEXR file, or `distance.LEVEL`; None takes the photo's own channel Z, if it has one.
         distance_kind: "euclidean", along rays, or "depth", along the camera's axis.
         clear: the same view without fog; None where it is not known.
         eye_height: of the camera above the altitude 0 that base heights count from [m].
@@ -157,10 +157,12 @@ def seen(photo: Photo, options: Options, home: Scene) -> FoggyPhoto:
     Raises:
         InputError: when a file beside the photo cannot be used, or too few pixels can.
     """
-    far = distance.of(photo, options.distance, options.distance_kind)
+    far = distance.of(photo, options.distance, options.distance_kind, options.eye_height)
     clear = None if options.clear is None else _clear(photo, options.clear)
     mask = np.ones((photo.camera.height, photo.camera.width), bool)
     notes = []
+    if options.distance == distance.LEVEL:
+        notes.append("distances are those of level ground at altitude 0: whatever rises from it is nearer")
     if options.mask is not None:
         painted = sky_mask.read(options.mask, photo)
         mask, notes = painted.used, [painted.how]
