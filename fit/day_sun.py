@@ -29,6 +29,7 @@ SIGMAS = 3.0
 LEAST_ERROR = 0.1  # degrees: a panorama's seam and level are not known better
 FINEST = 5.0  # degrees between the last pitches that are tried
 MOST_OF_SKY = 0.9  # of the sky that shows at the pitch where most of it does
+SKYLINE = math.radians(30.0)  # that a landscape's sky comes down to at least, be it somewhere between houses
 PITCHES = range(-20, 61, 10)  # degrees, of the search without a disc
 AZIMUTHS = (0.0, 90.0, -180.0, -90.0)  # of the sun to the right of the middle, from which it is searched
 
@@ -198,16 +199,26 @@ def _tried(photo: Photo, computed: SunPlace, turned: Turned, options: Options) -
 
 
 def _trial(photo: Photo, pitch: float, starts: Sequence[SunPlace], options: Options) -> Iterator[_Trial]:
-    """Fits at a pitch; none where the picture then shows no sky."""
+    """Fits at a pitch; none where the picture then shows no sky, or a landscape high up in it."""
     tilted = _tilted(photo, pitch)
     try:
         pixels = sky_pixels(tilted, starts[0], options)
+        if _is_landscape_in_the_sky(pixels):
+            return
         for start in starts:
             found = sky.solve(pixels, start, replace(options, sun=start))
             azimuth = found.parameters["SUN_AZIMUTH"].value
             yield _Trial(pitch, replace(start, azimuth=azimuth), found.error, int(pixels.used.sum()))
     except InputError:
         return
+
+
+def _is_landscape_in_the_sky(pixels: Pixels) -> bool:
+    """Whether something stands below all of the sky, even where the sky comes lowest, and that is high up.
+
+    The model's sky is smoother up there, and fits many a sky better that it cannot draw down to the horizon.
+    """
+    return not pixels.used[-1].any() and float(pixels.direction[pixels.used][:, 2].min()) > math.sin(SKYLINE)
 
 
 def sky_pixels(photo: Photo, place: SunPlace, options: Options) -> Pixels:

@@ -258,20 +258,25 @@ def test_turning_leans_and_directions_leaves_the_clouds_where_they_are():
 
 @pytest.fixture
 def fake_skies(monkeypatch):
-    """Fits that would be best at a pitch of 20 and a sun at 90 to the right, and better still where sky is lost."""
+    """Fits that would be best at a pitch of 20 and a sun at 90 to the right.
+
+    They are better still where sky is lost, and where what stands below it is high in the sky.
+    """
 
     def pixels(tilted, *_):
         pitch = math.degrees(tilted.camera.pitch)
         if pitch > 50.0:
             raise InputError("no sky")
-        used = torch.ones(100, dtype=torch.bool)
+        used = torch.ones(100, 1, dtype=torch.bool)
         used[: 50 if pitch < -5.0 else 0] = False
-        return SimpleNamespace(used=used, pitch=pitch)
+        used[-1] = False
+        up = torch.full((100, 1), math.sin(tilted.camera.pitch))
+        return SimpleNamespace(used=used, pitch=pitch, direction=torch.stack([torch.zeros_like(up)] * 2 + [up], -1))
 
     def solve(pixels, place, _):
         away = abs(place.azimuth - 90.0)
         error = 0.01 + 1e-6 * (pixels.pitch - 20.0) ** 2 + 1e-5 * away
-        found = 1e-6 if pixels.pitch < -5.0 else error
+        found = error if -5.0 < pixels.pitch < 35.0 else 1e-6
         return SimpleNamespace(parameters={"SUN_AZIMUTH": SimpleNamespace(value=place.azimuth)}, error=found)
 
     monkeypatch.setattr(day_sun, "sky_pixels", pixels)
