@@ -225,7 +225,7 @@ def test_a_sky_that_is_far_too_dark_is_refused(files):
     seen, _, distance = drawn()
     begun = keyframes.scene(UNDER_A_SKY | {"EXPOSURE": 0.01}, torch.float64)
     with pytest.raises(InputError, match="times as strongly as the given sky lights it, of 16 allowed; the weather"):
-        fog.solve(photo(seen, distance), replace(DENSITY_ALONE, clear=files / "clear.exr", start=begun))
+        fog.solve(photo(seen, distance), replace(DENSITY_ALONE, clear=files / "clear.exr", start=begun, seconds=1.0))
 
 
 @pytest.mark.slow
