@@ -43,7 +43,7 @@ def between(
     next_hours = torch.roll(hours, -1)
     lengths = _over_midnight(next_hours - hours)
     lengths = torch.where(hours == next_hours, DAY, lengths)  # of a single keyframe
-    behind, ahead = _controls(difference(values, torch.roll(values, -1, 0), known), lengths.reshape((-1, *per_channel)))
+    behind, ahead = controls(difference(values, torch.roll(values, -1, 0), known), lengths.reshape((-1, *per_channel)))
 
     # Twice, because the remainder of -1e-20 rounds to 24.
     time = torch.remainder(torch.remainder(hour, DAY), DAY)
@@ -65,7 +65,7 @@ def _over_midnight(hours: Tensor) -> Tensor:
 Pair = tuple[Tensor, Tensor]
 
 
-def _controls(rises: Tensor, lengths: Tensor) -> tuple[Pair, Pair]:
+def controls(rises: Tensor, lengths: Tensor) -> tuple[Pair, Pair]:
     """Shares of each interval's rise that lie behind and ahead of the inner two of its cubic's four control points."""
     slopes = rises / lengths
     first, not_first = _end_share(slopes, torch.roll(slopes, 1, 0), lengths, torch.roll(lengths, 1, 0))
