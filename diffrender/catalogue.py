@@ -1,7 +1,7 @@
 """All effects by name, in drawing order: the only file that knows them all."""
 
 from diffrender.antialiasing import checkerboard, edge_taa, fxaa
-from diffrender.atmosphere import aerial_perspective, celestial, far_fog, height_fog, sky
+from diffrender.atmosphere import aerial_perspective, celestial, far_fog, froxel_fog, height_fog, sky
 from diffrender.effect import Effect
 
 EFFECTS: dict[str, Effect] = {
@@ -9,6 +9,7 @@ EFFECTS: dict[str, Effect] = {
     "sun disc": celestial.EFFECT,
     "aerial perspective": aerial_perspective.EFFECT,
     "height fog": height_fog.EFFECT,
+    "froxel fog": froxel_fog.EFFECT,
     "far fog": far_fog.EFFECT,
     "fxaa": fxaa.EFFECT,
     "edge taa": edge_taa.EFFECT,
