@@ -20,6 +20,7 @@ from diffrender.atmosphere import sky
 from diffrender.atmosphere.aerial_perspective import AerialPerspective
 from diffrender.atmosphere.celestial import Sun, SunView, pre_exposed, to_sun
 from diffrender.atmosphere.far_fog import FarFog
+from diffrender.atmosphere.froxel_fog import FroxelFog
 from diffrender.atmosphere.height_fog import HeightFog
 from diffrender.atmosphere.sky import Sky, SkyView
 from diffrender.catalogue import EFFECTS
@@ -47,6 +48,7 @@ class Scene:
     height_fog: HeightFog | None = None  # of the ground, which whole-sky pictures do not show
     aerial_perspective: AerialPerspective | None = None  # likewise
     far_fog: FarFog | None = None
+    froxel_fog: FroxelFog | None = None
     antialiasing: AntiAliasing | None = None
 
 

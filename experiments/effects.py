@@ -7,7 +7,7 @@ inputs, where its box is swept. An effect that has no entry is shown its example
 import argparse
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -16,12 +16,16 @@ from jaxtyping import Float
 from torch import Tensor
 from torch.utils import _pytree as pytree
 
+from diffrender.atmosphere import froxel_examples, froxel_grid
 from diffrender.atmosphere.celestial import Sun, SunView
+from diffrender.atmosphere.froxel_grid import Eye, Grid
+from diffrender.atmosphere.froxel_lights import Lights
+from diffrender.atmosphere.froxel_view import FroxelView
 from diffrender.atmosphere.scattering import SUN_RADIUS
 from diffrender.atmosphere.sky import SkyView
 from diffrender.catalogue import EFFECTS
 from diffrender.parameters import defaults, names, specifications, to_cube
-from diffrender.rays import Camera, Equirectangular, Perspective, Rays, from_angles, pixel_centres
+from diffrender.rays import Camera, Equirectangular, Perspective, Rays, angles, from_angles, pixel_centres
 from experiments.records import RESULTS
 
 IRRADIANCE = specifications(Sun)["irradiance"].default
@@ -102,8 +106,26 @@ def _disc_view(camera: Camera) -> SunView:
     return SunView(rays, direction.new_tensor((0.9, 0.8, 0.6)))
 
 
+def _froxel_picture(width: int, height: int) -> FroxelView:
+    """The walk of the examples in a picture with a column of froxels for every 2 x 2 pixels, on ground before a sky."""
+    view = froxel_examples.example_inputs(torch.float64)
+    grid = Grid(max(1, width // 2), max(1, height // 2), 32, view.grid.near, view.grid.far)
+    distance = torch.stack([_to_ground(frame.eye, width, height) for frame in view.in_order()])
+    grey = torch.where(distance.isinf(), 0.5, 0.2)[..., None]
+    return replace(view, grid=grid, distance=distance, background=grey * grey.new_tensor([0.8, 1.0, 1.2]))
+
+
+def _to_ground(eye: Eye, width: int, height: int) -> Float[Tensor, "{height} {width}"]:
+    down = -froxel_grid.directions(eye, height, width)[0][..., 2]
+    return torch.where(down > 0.0, eye.position[2] / down.clamp(min=1e-6), torch.full_like(down, math.inf))
+
+
 # Effect -> inputs of a picture so wide and high, in float64.
-PICTURES: Mapping[str, Callable[[int, int], Any]] = {"sky": _sky_picture, "sun disc": _disc_picture}
+PICTURES: Mapping[str, Callable[[int, int], Any]] = {
+    "sky": _sky_picture,
+    "sun disc": _disc_picture,
+    "froxel fog": _froxel_picture,
+}
 
 
 def picture_inputs(name: str, width: int, height: int) -> Any:
@@ -155,8 +177,30 @@ def _hard_discs() -> dict[str, SunView]:
     return {name: _disc_view(Perspective(12, 12, across, math.radians(pitch))) for name, pitch in pitches.items()}
 
 
+def _hard_froxels() -> dict[str, FroxelView]:
+    """With the eye in a lamp, straight into the sun, on a mountain above the fog, and without noise or any light."""
+    view = froxel_examples.example_inputs(torch.float64)
+    lights, eye = view.lights, view.eye
+    assert lights.local is not None
+    assert lights.sun is not None
+    at_eye = eye.position[:, None].expand_as(lights.local.position)
+    lamp = replace(lights, local=replace(lights.local, position=at_eye))
+    turned = froxel_grid.eye_at(eye.position, *angles(lights.sun.to_sun), eye.spread)
+    mountain = replace(eye, position=eye.position + eye.position.new_tensor([0.0, 0.0, 2e3]))
+    return {
+        "in a lamp": replace(view, lights=lamp),
+        "into the sun": replace(view, eye=turned),
+        "from 2 km": replace(view, eye=mountain),
+        "even and unlit": replace(view, noise=None, lights=Lights(None, None, None)),
+    }
+
+
 # Effect -> its hard inputs by name, in float64.
-HARD: Mapping[str, Callable[[], Mapping[str, Any]]] = {"sky": _hard_skies, "sun disc": _hard_discs}
+HARD: Mapping[str, Callable[[], Mapping[str, Any]]] = {
+    "sky": _hard_skies,
+    "sun disc": _hard_discs,
+    "froxel fog": _hard_froxels,
+}
 
 
 def hard_inputs(name: str) -> Mapping[str, Any]:

@@ -21,6 +21,8 @@ from diffrender.numerics import decayed_length, mean_decay
 from diffrender.parameters import record
 from diffrender.rays import from_angles
 
+_FARTHEST = 1e9  # length of rays into the sky, which may be given as infinite [m]
+
 
 @dataclass(frozen=True)
 class Grid:
@@ -153,7 +155,7 @@ def seen_through(
     """
     height, width = distance.shape[-2:]
     _, stretch = directions(eye, height, width)
-    depth = (distance / stretch).clamp(max=grid.far)
+    depth = (distance.clamp(max=_FARTHEST) / stretch).clamp(max=grid.far)
     first = slice_at(grid, depth).detach().floor().long().clamp(0, grid.slices - 1)
     edges = cuts(grid, depth)
     share = (depth - edges[first]) / (edges[first + 1] - edges[first])

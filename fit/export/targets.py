@@ -36,7 +36,11 @@ def check(target: str) -> None:
 
 def _undrawn(scene: Scene) -> list[str]:
     """What a weather file may hold and no target is given."""
-    parts = {"AERIAL_PERSPECTIVE": scene.aerial_perspective, "VOLLIGHT_FARFOG": scene.far_fog}
+    parts = {
+        "AERIAL_PERSPECTIVE": scene.aerial_perspective,
+        "VOLLIGHT_FARFOG": scene.far_fog,
+        "VOLLIGHT": scene.froxel_fog,
+    }
     return [f"{prefix}_*, which no export draws" for prefix, part in parts.items() if part is not None]
 
 
