@@ -44,14 +44,14 @@ def test_directions_are_those_of_a_perspective_camera():
 
 @pytest.mark.parametrize("shift", [0.0, -0.4, 0.37])
 def test_froxels_lie_in_their_own_places(shift):
-    found = froxel_grid.place_of(GRID, eye(), froxel_grid.froxels(GRID, eye(), shift).position)
+    found = froxel_grid.place_of(GRID, eye(), froxel_grid.froxels(GRID, eye(), shift).from_eye)
     slices, rows, columns = (torch.arange(n, dtype=FLOAT) + 0.5 for n in (8, 4, 6))
     wanted = torch.stack(torch.meshgrid(slices + shift, rows, columns, indexing="ij"), -1)
     torch.testing.assert_close(found, wanted)
 
 
 def test_what_is_behind_the_camera_is_nowhere():
-    behind = eye().position - eye().axes[0] * torch.tensor([[0.0], [3.0]], dtype=FLOAT)
+    behind = -eye().axes[0] * torch.tensor([[0.0], [3.0]], dtype=FLOAT)
     assert torch.equal(froxel_grid.place_of(GRID, eye(), behind), -torch.ones(2, 3, dtype=FLOAT))
 
 

@@ -126,8 +126,8 @@ def _remembered(fog: FroxelFog, frame: FroxelView, state: State | None) -> tuple
         return medium, State(medium, frame.eye, frames=1)
     now = sampled(fog, frame, _shift(state.frames))
     # Where froxels are, not where this frame samples them: a camera at rest finds its own froxels again.
-    middle = froxel_grid.froxels(frame.grid, frame.eye, 0.0).position
-    place = froxel_grid.place_of(frame.grid, state.eye, middle)
+    middle = froxel_grid.froxels(frame.grid, frame.eye, 0.0).from_eye
+    place = froxel_grid.place_of(frame.grid, state.eye, middle + (frame.eye.position - state.eye.position))
     size = place.new_tensor([frame.grid.slices, frame.grid.rows, frame.grid.columns])
     was_seen = ((place >= 0.0) & (place <= size)).all(-1, keepdim=True)
     before = trilinear(state.medium, place, clamped)
@@ -146,8 +146,9 @@ def _shift(count: int) -> float:
 def sampled(fog: FroxelFog, frame: FroxelView, shift: float) -> Medium:
     """Froxels of a frame alone, sampled a shift off the middle of their slices."""
     at = froxel_grid.froxels(frame.grid, frame.eye, shift)
-    dense = density(fog, frame, at.position)
-    light = arriving(fog, frame, at.position, at.direction)
+    position = frame.eye.position + at.from_eye
+    dense = density(fog, frame, position)
+    light = arriving(fog, frame, position, at.direction)
     return torch.cat([light * fog.albedo * dense[..., None], dense[..., None]], -1)
 
 

@@ -53,7 +53,7 @@ class Eye:
 class Froxels:
     """Samples of a grid in the world, one in each froxel."""
 
-    position: Float[Tensor, "slices rows columns 3"]  # [m]
+    from_eye: Float[Tensor, "slices rows columns 3"]  # [m]
     direction: Float[Tensor, "rows columns 3"]  # unit, from the eye
     stretch: Float[Tensor, "rows columns"]  # distance from the eye per view depth
 
@@ -111,12 +111,15 @@ def froxels(grid: Grid, eye: Eye, shift: float) -> Froxels:
     direction, stretch = directions(eye, grid.rows, grid.columns)
     depth = depth_at(grid, torch.arange(grid.slices).to(stretch) + (0.5 + shift))
     distance = depth[:, None, None] * stretch
-    return Froxels(eye.position + distance[..., None] * direction, direction, stretch)
+    return Froxels(distance[..., None] * direction, direction, stretch)
 
 
-def place_of(grid: Grid, eye: Eye, position: Float[Tensor, "*batch 3"]) -> Float[Tensor, "*batch 3"]:
-    """Where the world lies in a camera's grid: counted in froxels by slice, row and column; -1 behind the camera."""
-    depth, left, up = (position - eye.position).matmul(eye.axes.mT).unbind(-1)
+def place_of(grid: Grid, eye: Eye, from_eye: Float[Tensor, "*batch 3"]) -> Float[Tensor, "*batch 3"]:
+    """Where the world lies in a camera's grid: counted in froxels by slice, row and column; -1 behind the camera.
+
+    Given from the eye [m]: positions on a mountain would lose the digits of its nearest froxels in float32.
+    """
+    depth, left, up = from_eye.matmul(eye.axes.mT).unbind(-1)
     is_ahead = depth > 0.0
     divisor = torch.where(is_ahead, depth, torch.ones_like(depth))
     row = 0.5 * grid.rows * (1.0 - up / (divisor * eye.spread[1]))
