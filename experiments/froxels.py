@@ -104,7 +104,7 @@ def sheet(width: int, height: int, grid: Grid) -> dict[str, Float[Tensor, "h w 3
     day, dull = everything(), Lights(None, None, froxel_scene.probe())
     lit_by_sun = Lights(day.sun, None, day.probe)
     night = Lights(None, froxel_scene.lamps(), None)
-    billows = {"noise_strength": 1.0, "noise_size": 90.0, "extinction": 0.06, "height_decay": 0.1, "probe": 2.0}
+    billows = {"noise_strength": 1.0, "noise_size": 60.0, "extinction": 0.06, "height_decay": 0.1, "probe": 2.0}
     panels: Mapping[str, tuple[Lights, Mapping[str, Any], float]] = {
         "no fog": (lit_by_sun, {"extinction": 0.0}, 0.0),
         "sun through a roof, default fog": (lit_by_sun, {}, 0.0),
@@ -115,7 +115,7 @@ def sheet(width: int, height: int, grid: Grid) -> dict[str, Float[Tensor, "h w 3
         "ALBEDO 0.95, 0.8, 0.5": (lit_by_sun, {"albedo": (0.95, 0.8, 0.5)}, 0.0),
         "probe alone, EXTINCTION × 3": (dull, {"extinction": 0.06}, 0.0),
         "a spot and a lamp, no sun": (night, {}, 0.0),
-        "NOISE 1 of 90 m, EXTINCTION × 3": (lit_by_sun, billows, 0.0),
+        "NOISE 1 of 60 m, EXTINCTION × 3": (lit_by_sun, billows, 0.0),
         "2 s of wind later": (lit_by_sun, billows, 2.0),
         "4 s of wind later": (lit_by_sun, billows, 4.0),
         "all lights": (day, {}, 0.0),

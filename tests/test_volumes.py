@@ -41,4 +41,5 @@ def test_noise_is_the_same_for_a_seed_and_fills_its_range():
     first, second = (repeating_noise(8, torch.Generator().manual_seed(3)) for _ in range(2))
     assert torch.equal(first, second)
     assert float(first.abs().max()) == 1.0
+    assert 0.5 < float(first.square().mean().sqrt()) < 0.8
     assert not torch.equal(first, repeating_noise(8, torch.Generator().manual_seed(4)))

@@ -46,7 +46,8 @@ def repeated(volume: Float[Tensor, "depth rows columns"], place: Float[Tensor, "
 def repeating_noise(size: int, generator: torch.Generator) -> Float[Tensor, "{size} {size} {size}"]:
     """Smooth noise from -1 to 1 that repeats without a seam: three octaves of random values, in float64.
 
-    The finest has a value for each cell, the others for two and four of them: sizes are multiples of 4.
+    The finest has a value for each cell, the others for two and four of them: sizes are multiples of 4. Sums of random
+    values seldom come near their bounds, so they are spread towards them: else fog has few holes at full strength.
     """
     total = torch.zeros(size, size, size, dtype=torch.float64)
     steps = (torch.arange(size, dtype=torch.float64) + 0.5) / size
@@ -55,4 +56,5 @@ def repeating_noise(size: int, generator: torch.Generator) -> Float[Tensor, "{si
         cells = size >> octave
         lattice = 2.0 * torch.rand(cells, cells, cells, generator=generator, dtype=torch.float64) - 1.0
         total = total + 2.0**octave * repeated(lattice, place)
-    return total / total.abs().max()
+    spread = torch.tanh(total / total.std())
+    return spread / spread.abs().max()
