@@ -3,6 +3,7 @@
 from diffrender.antialiasing import checkerboard, edge_taa, fxaa
 from diffrender.atmosphere import aerial_perspective, celestial, far_fog, froxel_fog, height_fog, sky
 from diffrender.effect import Effect
+from diffrender.shading import wetness
 
 EFFECTS: dict[str, Effect] = {
     "sky": sky.EFFECT,
@@ -11,6 +12,7 @@ EFFECTS: dict[str, Effect] = {
     "height fog": height_fog.EFFECT,
     "far fog": far_fog.EFFECT,
     "froxel fog": froxel_fog.EFFECT,
+    "wetness": wetness.EFFECT,
     "fxaa": fxaa.EFFECT,
     "edge taa": edge_taa.EFFECT,
     "checkerboard": checkerboard.EFFECT,

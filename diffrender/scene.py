@@ -27,6 +27,7 @@ from diffrender.catalogue import EFFECTS
 from diffrender.effect import Render
 from diffrender.parameters import Specification, names, parameter, record, specifications
 from diffrender.rays import Rays, from_angles
+from diffrender.shading.wet_surface import Wetness
 
 
 @record
@@ -49,6 +50,7 @@ class Scene:
     aerial_perspective: AerialPerspective | None = None  # likewise
     far_fog: FarFog | None = None
     froxel_fog: FroxelFog | None = None
+    wetness: Wetness | None = None  # of surfaces, which whole-sky pictures do not show either
     antialiasing: AntiAliasing | None = None
 
 

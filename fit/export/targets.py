@@ -40,6 +40,7 @@ def _undrawn(scene: Scene) -> list[str]:
         "AERIAL_PERSPECTIVE": scene.aerial_perspective,
         "VOLLIGHT_FARFOG": scene.far_fog,
         "VOLLIGHT": scene.froxel_fog,
+        "WETNESS": scene.wetness,
     }
     return [f"{prefix}_*, which no export draws" for prefix, part in parts.items() if part is not None]
 
