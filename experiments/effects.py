@@ -26,6 +26,9 @@ from diffrender.atmosphere.sky import SkyView
 from diffrender.catalogue import EFFECTS
 from diffrender.parameters import defaults, names, specifications, to_cube
 from diffrender.rays import Camera, Equirectangular, Perspective, Rays, angles, from_angles, pixel_centres
+from diffrender.shading.wet_surface import WetView
+from diffrender.shading.wet_surface import example_inputs as wet_examples
+from experiments import wet_scenes
 from experiments.records import RESULTS
 
 IRRADIANCE = specifications(Sun)["irradiance"].default
@@ -120,11 +123,17 @@ def _to_ground(eye: Eye, width: int, height: int) -> Float[Tensor, "{height} {wi
     return torch.where(down > 0.0, eye.position[2] / down.clamp(min=1e-6), torch.full_like(down, math.inf))
 
 
+def _wet_picture(width: int, height: int) -> WetView:
+    """Cobbles at one's feet, in rain."""
+    return wet_scenes.street(wet_scenes.puddle_camera(width, height), wet_scenes.Weather())
+
+
 # Effect -> inputs of a picture so wide and high, in float64.
 PICTURES: Mapping[str, Callable[[int, int], Any]] = {
     "sky": _sky_picture,
     "sun disc": _disc_picture,
     "froxel fog": _froxel_picture,
+    "wetness": _wet_picture,
 }
 
 
@@ -195,11 +204,26 @@ def _hard_froxels() -> dict[str, FroxelView]:
     }
 
 
+def _hard_surfaces() -> dict[str, WetView]:
+    """Under a sun at the horizon, one at the eye, one near its mirror's place in level water, and by a grazing eye."""
+    seen = wet_examples(torch.float64)
+    across = torch.tensor([-1.0, -1.0, 1.0], dtype=torch.float64)
+    near = torch.nn.functional.normalize(seen.to_eye * across + 2e-3, dim=-1)
+    level = torch.nn.functional.normalize(seen.to_eye * torch.tensor([1.0, 1.0, 1e-3], dtype=torch.float64), dim=-1)
+    return {
+        "sun at the horizon": replace(seen, to_light=from_angles(*torch.tensor([[1e-3], [0.3]]).double())[0]),
+        "sun at the eye": replace(seen, to_light=seen.to_eye),
+        "sun mirrored": replace(seen, to_light=near),
+        "eye at the horizon": replace(seen, to_eye=level),
+    }
+
+
 # Effect -> its hard inputs by name, in float64.
 HARD: Mapping[str, Callable[[], Mapping[str, Any]]] = {
     "sky": _hard_skies,
     "sun disc": _hard_discs,
     "froxel fog": _hard_froxels,
+    "wetness": _hard_surfaces,
 }
 
 
