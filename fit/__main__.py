@@ -3,16 +3,14 @@
 import io
 import shutil
 import sys
-from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
-from fit import day_command, export_command, terminal
+from fit import day_command, export_command, terminal, wetness_command
 from fit.command_options import (
     FieldOfView,
     Fix,
@@ -35,17 +33,12 @@ from fit.command_options import (
     Time,
     Weather,
 )
+from fit.fitting_command import INTERRUPTED, ended, progress, use_threads
 from fit.input_error import InputError
-
-if TYPE_CHECKING:
-    from fit.solution import Solution
 
 app = typer.Typer(add_completion=False, rich_markup_mode=None, pretty_exceptions_enable=False)
 
-FITTED, NOT_CONVERGED, BAD_INPUT, INTERRUPTED = 0, 1, 2, 130
-# One thread: for what a fit does at a time, the second core of an idle machine gains nothing that the waiting of
-# threads for each other does not cost many times over on a busy one. It also gives the same bits on every machine.
-THREADS = 1
+BAD_INPUT = 2
 
 
 @app.callback()
@@ -78,13 +71,13 @@ def sky(
 
     Exit status: 0 fitted, 1 not converged, 2 bad input, 130 interrupted; all but 2 write what was found.
     """
-    with _progress("starting", quiet):
+    with progress("starting", quiet):
         from fit import options, picture, results
         from fit import photo as photos
         from fit import sky as sky_fit
         from fit import sun as sun_place
 
-        _use_threads()
+        use_threads()
     folder = results.folder(out, photo)
     shot = options.shot(latitude, longitude, time, heading)
     place = sun_place.given(sun) if sun is not None else shot.sun()
@@ -97,13 +90,13 @@ def sky(
         seconds=seconds,
         seed=seed,
     )
-    with _progress("reading and fitting", quiet):
+    with progress("reading and fitting", quiet):
         seen = photos.read(photo, projection, fov, pitch)
         solution = sky_fit.fit(seen, replace(asked, sun=place or shot.sun_by(seen.header)))
-    with _progress("writing", quiet):
+    with progress("writing", quiet):
         draw = partial(picture.draw, camera=seen.camera)
         results.write(folder, seen, solution, shot.completed(seen.header), draw)
-    return _ended(folder, solution, quiet)
+    return ended(folder, solution, quiet)
 
 
 @app.command()
@@ -141,21 +134,21 @@ def fog(
 
     Exit status: 0 fitted, 1 not converged, 2 bad input, 130 interrupted; all but 2 write what was found.
     """
-    with _progress("starting", quiet):
+    with progress("starting", quiet):
         from fit import fog as fog_fit
         from fit import fog_models, hidden_sun, options, results
         from fit import photo as photos
         from fit import sky as sky_fit
         from fit import sun as sun_place
 
-        _use_threads()
+        use_threads()
     solve = fog_models.model(model)
     folder = results.folder(out, photo)
     shot = options.shot(latitude, longitude, time, heading)
     place = sun_place.given(sun) if sun is not None else shot.sun()
     begun = options.first_scene(start) if start else None
     above = None
-    with _progress("reading and fitting", quiet):
+    with progress("reading and fitting", quiet):
         seen = photos.read(photo, projection, fov, pitch)
         place = place or shot.sun_by(seen.header)
         if with_sky:
@@ -186,9 +179,9 @@ def fog(
         solution, draw = solve(seen, asked)
         if above is not None:
             solution = fog_fit.under(solution, above)
-    with _progress("writing", quiet):
+    with progress("writing", quiet):
         results.write(folder, seen, solution, shot.completed(seen.header), draw)
-    return _ended(folder, solution, quiet)
+    return ended(folder, solution, quiet)
 
 
 @app.command()
@@ -219,14 +212,14 @@ def sharpening(
 
     Exit status: 0 fitted, 1 not converged, 2 bad input, 130 interrupted; all but 2 write what was found.
     """
-    with _progress("starting", quiet):
+    with progress("starting", quiet):
         from fit import options, results
         from fit import photo as photos
         from fit import sharpening as sharpening_fit
         from fit.sampled_photo import Sampling
         from fit.shot import Shot
 
-        _use_threads()
+        use_threads()
     asked = sharpening_fit.Options(
         sampling=Sampling(factor, footprint, screen, options.motion(motion)),
         textures=textures,
@@ -238,13 +231,13 @@ def sharpening(
         seed=seed,
     )
     folder = results.folder(out, photo)
-    with _progress("reading and fitting", quiet):
+    with progress("reading and fitting", quiet):
         seen = photos.read(photo, projection, fov, pitch)
         found = sharpening_fit.solve(seen, asked)
-    with _progress("writing", quiet):
+    with progress("writing", quiet):
         shot = Shot().completed(seen.header)
         results.write_with(folder, found.solution, shot, found.draw, found.page)
-    return _ended(folder, found.solution, quiet)
+    return ended(folder, found.solution, quiet)
 
 
 @app.command()
@@ -271,7 +264,7 @@ def render(
     from fit import options, picture
     from fit import tables as stored
 
-    _use_threads()
+    use_threads()
     camera = options.camera(size, projection, fov, pitch)
     taken = options.shot(latitude, longitude, time, heading)
     at = options.hour_of(hour, taken)
@@ -288,7 +281,7 @@ def show(
     """Print the table of a weather file and plot each parameter over the day."""
     from fit import weather_file, weather_page, weather_text
 
-    _use_threads()
+    use_threads()
     seen = weather_file.read(weather)
     if out is not None:
         weather_page.write(out, weather.name, seen)
@@ -312,11 +305,11 @@ def tables(
     quiet: Quiet = False,
 ) -> None:
     """Make tables of the sky over the sun's elevation, from which `fit render --tables` draws."""
-    with _progress("making tables", quiet):
+    with progress("making tables", quiet):
         from fit import stored_sky
         from fit import tables as files
 
-        _use_threads()
+        use_threads()
         made = stored_sky.made(stored_sky.Asked(form, tuple(photos or ()), mask_folder, weather, hour))
         files.save(out, made.tables, made.origin)
     if not quiet:
@@ -324,36 +317,8 @@ def tables(
 
 
 app.command("day")(day_command.day)
+app.command("wetness")(wetness_command.wetness)
 app.command("export")(export_command.export)
-
-
-def _ended(folder: Path, solution: "Solution", quiet: bool) -> int:
-    """Exit status of a fit, after its summary."""
-    from fit import minimum, results
-
-    if not quiet:
-        terminal.say(results.summary(folder, solution))
-    if solution.minimum.reason == minimum.INTERRUPTED:
-        return INTERRUPTED
-    return FITTED if solution.minimum.converged else NOT_CONVERGED
-
-
-def _use_threads() -> None:
-    import torch
-
-    torch.set_num_threads(THREADS)
-
-
-@contextmanager
-def _progress(what: str, quiet: bool) -> Iterator[None]:
-    """Show on standard error, if it is a terminal, what takes its time."""
-    if quiet or not sys.stderr.isatty():
-        yield
-        return
-    from rich.console import Console
-
-    with Console(stderr=True).status(what):
-        yield
 
 
 def main() -> None:
