@@ -205,12 +205,12 @@ def test_a_box_dries_smoothly_from_its_border_in():
 def test_a_car_that_enters_a_box_gets_dry_by_and_by_and_its_picture_with_it():
     box = DryBoxes(torch.zeros(1, 3, dtype=FLOAT), torch.full((1, 3), 5.0, dtype=FLOAT), number(1.0)[None])
     rain, state, brightness = wet(drying_time=10.0, amount=1.0), torch.ones(1, dtype=FLOAT), []
-    for second in range(30):
+    for second in range(0, 30, 2):
         place = torch.tensor([[8.0 - min(second, 8), 0.0, 0.0]], dtype=FLOAT)
         picture, state = wetness.step(
-            rain, view(position=place, boxes=box, elapsed=number(1.0), terrain=1.0, height=1.0), state
+            rain, view(position=place, boxes=box, elapsed=number(2.0), terrain=1.0, height=1.0), state
         )
         brightness.append(float(picture.mean()))
-    assert brightness[0] == pytest.approx(brightness[3], rel=1e-3)  # still in the rain
+    assert brightness[0] == pytest.approx(brightness[1], rel=1e-3)  # still in the rain
     assert brightness[-1] > 1.2 * brightness[0]  # and dry
-    assert max(abs(a - b) for a, b in itertools.pairwise(brightness)) < 0.15 * brightness[-1]
+    assert max(abs(a - b) for a, b in itertools.pairwise(brightness)) < 0.2 * brightness[-1]

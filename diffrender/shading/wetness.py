@@ -108,17 +108,28 @@ def step(
 def wet_material(wetness: Wetness, view: WetView, found: Water) -> Material:
     """What the material of a surface becomes in its water."""
     dry = brdf.material(view.base, view.roughness, view.metallic)
-    porous = ((view.roughness - POROUS_FROM) / POROUS_OVER).clamp(0.0, 1.0) * (1.0 - view.metallic)
-    darkest = 1.0 - porous * (1.0 - wetness.soaked_albedo)
-    kept, smoothed = (1.0 - share * (1.0 - darkest) for share in (found.soaked, 0.5 * found.soaked))
+    porous = porosity(view.roughness) * (1.0 - view.metallic)
+    diffuse, smoothed = (kept(wetness, porous, share) for share in (found.soaked, 0.5 * found.soaked))
     straight = torch.lerp(dry.straight, torch.full_like(dry.straight, WATER), found.mirror[..., None])
-    return Material(dry.diffuse * kept[..., None], straight, dry.roughness * smoothed * (1.0 - found.mirror))
+    return Material(dry.diffuse * diffuse[..., None], straight, dry.roughness * smoothed * (1.0 - found.mirror))
 
 
 def render(wetness: Wetness, view: WetView) -> Float[Tensor, "*batch 3"]:
     """Radiance of a wet surface towards the eye [W/(m² sr)], with rings on puddles and rivulets on walls."""
     found = running(wetness, view)
     return _lit(wet_material(wetness, view, found), wet_normal(wetness, view, found), view)
+
+
+def porosity(roughness: Float[Tensor, "*batch"]) -> Float[Tensor, "*batch"]:
+    """Share of ground that soaks, where it is no metal."""
+    return ((roughness - POROUS_FROM) / POROUS_OVER).clamp(0.0, 1.0)
+
+
+def kept(
+    wetness: Wetness, porous: Float[Tensor, "*#batch"], soaked: Float[Tensor, "*#batch"]
+) -> Float[Tensor, "*batch"]:
+    """Share of its diffuse colour that ground keeps, by how porous it is and how wet, both from 0 to 1."""
+    return 1.0 - soaked * porous * (1.0 - wetness.soaked_albedo)
 
 
 def wet_normal(wetness: Wetness, view: WetView, found: Water) -> Float[Tensor, "*batch 3"]:
