@@ -20,7 +20,6 @@ from fit.input_error import InputError
 from fit.photo import Photo
 
 pytest_plugins = ["command_fixtures"]
-pytestmark = pytest.mark.usefixtures("one_thread")
 
 CAMERA = Perspective(96, 64, math.radians(30.0), math.radians(-50.0))
 AMOUNT, DARKNESS = wetness.AMOUNT, wetness.DARKNESS
