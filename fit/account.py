@@ -1,19 +1,71 @@
 """What a fit found, in the words of weather files: every parameter with its error, and a photo's gains as a sun."""
 
 from collections.abc import Callable, Mapping
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from importlib.metadata import version
+from typing import Any
 
 import numpy as np
-from jaxtyping import Float
+import torch
+from jaxtyping import Bool, Float
 from torch import Tensor
 
 from diffrender.colour import luminance
 from diffrender.parameters import specifications
 from diffrender.scene import Scene, places, weather_names
 from fit import keyframes
+from fit.asked import Search
+from fit.minimum import Minimum
+from fit.photo import Photo
 from fit.search_space import SearchSpace, value
 from fit.solution import Fitted
 from fit.uncertainty import Uncertainty
+
+PACKAGES = ("diffrender", "torch", "numpy", "scipy", "nlopt")
+
+
+@dataclass(frozen=True, eq=False)
+class Ended:
+    """Where a search has ended.
+
+    Attributes:
+        names: searched parameters, in the order of `known`, which may go on with coordinates that are none.
+    """
+
+    scene: Scene
+    parameters: Mapping[str, Fitted]
+    names: tuple[str, ...]
+    known: Uncertainty
+    minimum: Minimum
+
+
+def of_any(photo: Photo, used: Bool[np.ndarray, "height width"], options: Search, ended: Ended) -> dict[str, Any]:
+    """What every solution tells, by the names of its fields."""
+    kept = [index for index, name in enumerate(ended.names) if ended.parameters[name].determined]
+    return {
+        "photo": photo.path.name,
+        "camera": photo.camera,
+        "scene": ended.scene,
+        "parameters": ended.parameters,
+        "correlated": tuple(ended.names[index] for index in kept),
+        "correlation": ended.known.correlation[np.ix_(kept, kept)],
+        "used": used,
+        "pixels": {"used": int(used.sum()), "masked": used.size - int(used.sum()), **photo.counts()},
+        "minimum": ended.minimum,
+        "solver": options.solver,
+        "seed": options.seed,
+    }
+
+
+def log_error(drawn: Float[Tensor, "n 3"], seen: Float[Tensor, "n 3"]) -> float:
+    """Mean square difference of log radiance, where both are above 0."""
+    difference = torch.log(drawn / seen)
+    return float(difference[difference.isfinite()].square().mean())
+
+
+def versions(*more: str) -> dict[str, str]:
+    """Versions of the packages that every fit runs, and of more."""
+    return {name: version(name) for name in (*PACKAGES, *more)}
 
 
 def parameters(

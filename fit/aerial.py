@@ -12,7 +12,6 @@ import time
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import partial
-from importlib.metadata import version
 
 import numpy as np
 import torch
@@ -127,28 +126,17 @@ def solve(photo: Photo, options: Options) -> Aerial:
     left_out = found.pinned | {name: why for name, why in zip(names, found.known.why, strict=True) if why}
     held = partial(_unsearched, options=options, left_out=left_out, place=place)
     parameters = account.parameters(scene, objective.space, found.known, held)
-    kept = [index for index, name in enumerate(names) if parameters[name].determined]
-    difference = torch.log(drawn / objective.pixels.radiance)
+    ended = account.Ended(scene, parameters, names, found.known, minimum)
     solution = Solution(
+        **account.of_any(photo, seen.used, options, ended),
         effect="fog",
-        photo=photo.path.name,
-        camera=photo.camera,
         notes=(*photo.notes, *seen.notes, *_notes(options)),
-        scene=scene,
-        parameters=parameters,
-        correlated=tuple(names[index] for index in kept),
-        correlation=found.known.correlation[np.ix_(kept, kept)],
         sun=hidden_sun.place(place, parameters, names),
         gains=account.gains(scene),
-        used=seen.used,
-        pixels={"used": int(seen.used.sum()), "masked": seen.used.size - int(seen.used.sum()), **photo.counts()},
         left_out=left_out,
-        error=float(difference[difference.isfinite()].square().mean()),
-        minimum=minimum,
-        solver=options.solver,
-        seed=options.seed,
+        error=account.log_error(drawn, objective.pixels.radiance),
         seconds={"read": read - began, "solve": solved - read},
-        versions={name: version(name) for name in ("diffrender", "torch", "numpy", "scipy", "nlopt")},
+        versions=account.versions(),
     )
     return Aerial(solution, seen, objective)
 

@@ -11,7 +11,6 @@ import time
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import partial
-from importlib.metadata import version
 from itertools import product
 from pathlib import Path
 from typing import Protocol
@@ -144,28 +143,17 @@ def solve(photo: Photo, options: Options) -> Fogged:
     left_out = pinned | {name: why for name, why in zip((*space.free, SURFACES), known.why, strict=False) if why}
     held = partial(_unsearched, options=options, left_out=left_out, place=place)
     parameters = account.parameters(scene, space, known, held)
-    kept = [index for index, name in enumerate(space.free) if parameters[name].determined]
-    difference = torch.log(lights.picture() / objective.pixels.radiance)
+    ended = account.Ended(scene, parameters, space.free, known, minimum)
     solution = Solution(
+        **account.of_any(photo, seen.used, options, ended),
         effect="fog",
-        photo=photo.path.name,
-        camera=photo.camera,
         notes=(*photo.notes, *seen.notes, *_degeneracies(options)),
-        scene=scene,
-        parameters=parameters,
-        correlated=tuple(space.free[index] for index in kept),
-        correlation=known.correlation[np.ix_(kept, kept)],
         sun=hidden_sun.place(place, parameters, space.free),
         gains=account.gains(scene),
-        used=seen.used,
-        pixels={"used": int(seen.used.sum()), "masked": seen.used.size - int(seen.used.sum()), **photo.counts()},
         left_out=left_out,
-        error=float(difference[difference.isfinite()].square().mean()),
-        minimum=minimum,
-        solver=options.solver,
-        seed=options.seed,
+        error=account.log_error(lights.picture(), objective.pixels.radiance),
         seconds={"read": read - began, "solve": solved - read},
-        versions={name: version(name) for name in ("diffrender", "torch", "numpy", "scipy", "nlopt")},
+        versions=account.versions(),
     )
     return Fogged(solution, seen, objective)
 

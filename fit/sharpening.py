@@ -12,7 +12,6 @@ import time
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
-from importlib.metadata import version
 from itertools import product
 from pathlib import Path
 
@@ -125,28 +124,18 @@ def solve(photo: Photo, options: Options) -> Sharpened:
     scene = space.scene(torch.from_numpy(minimum.point))
     known = uncertainty(objective, minimum.point)
     parameters = account.parameters(scene, space, known, partial(_unsearched, options=options))
-    kept = [index for index, name in enumerate(space.free) if parameters[name].determined]
     used = sampled_photo.pixels(scenery, corners)
+    ended = account.Ended(scene, parameters, space.free, known, minimum)
     solution = Solution(
+        **account.of_any(photo, used, options, ended),
         effect="sharpening",
-        photo=photo.path.name,
-        camera=photo.camera,
         notes=(*photo.notes, *_notes(scenery, options, len(corners))),
-        scene=scene,
-        parameters=parameters,
-        correlated=tuple(space.free[index] for index in kept),
-        correlation=known.correlation[np.ix_(kept, kept)],
         sun=None,
         gains=account.gains(scene),
-        used=used,
-        pixels={"used": int(used.sum()), "masked": used.size - int(used.sum()), **photo.counts()},
         left_out={name: why for name, why in zip(space.free, known.why, strict=True) if why},
         error=2.0 * half_square(objective.residuals(torch.from_numpy(minimum.point))),
-        minimum=minimum,
-        solver=options.solver,
-        seed=options.seed,
         seconds={"read": read - began, "solve": time.monotonic() - read},
-        versions={name: version(name) for name in ("diffrender", "torch", "numpy", "scipy", "nlopt", "scikit-image")},
+        versions=account.versions("scikit-image"),
         measure="what the screen is sent",
         scores=sharpening_pictures.scores(_settings(scene), views),
     )

@@ -3,10 +3,8 @@
 import time
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
-from importlib.metadata import version
 from pathlib import Path
 
-import numpy as np
 import torch
 from jaxtyping import Float
 from torch import Tensor
@@ -86,27 +84,17 @@ def fit(photo: Photo | Path, options: Options | None = None) -> Solution:
     read = time.monotonic()
     found = solve(pixels, place, options)
     space, known = found.space, found.known
-    kept = [index for index, name in enumerate(space.free) if found.parameters[name].determined]
+    ended = account.Ended(found.scene, found.parameters, space.free, known, found.minimum)
     return Solution(
+        **account.of_any(photo, used, options, ended),
         effect="sky",
-        photo=photo.path.name,
-        camera=photo.camera,
         notes=(*photo.notes, mask.how),
-        scene=found.scene,
-        parameters=found.parameters,
-        correlated=tuple(space.free[index] for index in kept),
-        correlation=known.correlation[np.ix_(kept, kept)],
         sun=hidden_sun.place(place, found.parameters, space.free),
         gains=account.gains(found.scene),
-        used=used,
-        pixels={"used": int(used.sum()), "masked": used.size - int(used.sum()), **photo.counts()},
         left_out={**found.pinned, **_left_out(space, known)},
         error=found.error,
-        minimum=found.minimum,
-        solver=options.solver,
-        seed=options.seed,
         seconds={"read": read - began, **found.seconds},
-        versions={name: version(name) for name in ("diffrender", "torch", "numpy", "scipy", "nlopt")},
+        versions=account.versions(),
     )
 
 

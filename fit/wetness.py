@@ -13,7 +13,6 @@ import math
 import time
 from dataclasses import dataclass
 from functools import partial
-from importlib.metadata import version
 from pathlib import Path
 
 import numpy as np
@@ -111,30 +110,19 @@ def solve(dry: Photo, wet: Photo, options: Options) -> Wetted:
     scene, known = space.scene(point), uncertainty(objective, minimum.point)
     drawn, added = objective.picture(point)
     parameters = account.parameters(scene, space, known, partial(_unsearched, options=options))
-    kept_ones = [index for index, name in enumerate(space.free) if parameters[name].determined]
-    difference = torch.log(drawn / objective.wet.wet)
     share, light = float(objective.share(point)), objective.light
     ours = 2.0 * half_square(objective.residuals(point)[: objective.wet.wet.numel()])
+    ended = account.Ended(scene, parameters, space.free, known, minimum)
     solution = Solution(
+        **account.of_any(wet, used, options, ended),
         effect="wetness",
-        photo=wet.path.name,
-        camera=wet.camera,
         notes=(*wet.notes, *notes, *_notes(objective, share, added)),
-        scene=scene,
-        parameters=parameters,
-        correlated=tuple(space.free[index] for index in kept_ones),
-        correlation=known.correlation[np.ix_(kept_ones, kept_ones)],
         sun=None,
         gains=(float(light[0]), float(light[1]), float(light[2])),
-        used=used,
-        pixels={"used": int(used.sum()), "masked": used.size - int(used.sum()), **wet.counts()},
         left_out={name: why for name, why in zip(space.free, known.why, strict=True) if why},
-        error=float(difference[difference.isfinite()].square().mean()),
-        minimum=minimum,
-        solver=options.solver,
-        seed=options.seed,
+        error=account.log_error(drawn, objective.wet.wet),
         seconds={"read": read - began, "solve": time.monotonic() - read},
-        versions={name: version(name) for name in ("diffrender", "torch", "numpy", "scipy", "nlopt")},
+        versions=account.versions(),
         scores={
             "soaked ground, one share": {"mean square": ours, "colour kept": share},
             "by optics (Lekner and Dorf)": objective.by_optics(),

@@ -11,8 +11,9 @@ from foggy_picture import CAMERA, EYE, FOG, SUN, TRUTH, drawn, photo
 
 from diffrender.parameters import defaults
 from diffrender.scene import Exposure, Scene, skylight
-from fit import __main__ as command
 from fit import fog, fog_picture, foggy_photo, keyframes, weather_file
+from fit.__main__ import BAD_INPUT
+from fit.fitting_command import FITTED, NOT_CONVERGED
 from fit.foggy_photo import Options
 from fit.input_error import InputError
 from fit.search_space import SearchSpace
@@ -286,7 +287,7 @@ def test_the_command_writes_a_report_and_both_pictures(run, files, tmp_path):
         "fog", files / "fog.exr", *["--fov", "60", "--pitch", "-3", "--eye-height", "25", "--sun", "20,40"],
         "--distance", files / "distance.exr", "--clear", files / "clear.exr", "--seconds", "0.001", "--out", tmp_path,
     )  # fmt: skip
-    assert (status, err) == (command.NOT_CONVERGED, "")
+    assert (status, err) == (NOT_CONVERGED, "")
     assert "HEIGHT_FOG_EXTINCTION" in out
     page = (tmp_path / "report.html").read_text()
     assert "HEIGHT_FOG_SCALE_HEIGHT" in page
@@ -297,7 +298,7 @@ def test_the_command_writes_a_report_and_both_pictures(run, files, tmp_path):
 def test_fog_under_a_fitted_sky_tells_of_both(run, tmp_path):
     photo = Path(__file__).parent.parent / "experiments" / "photos" / "spruit_sunrise.exr"
     status, out, err = run("fog", photo, "--with-sky", "--seconds", "20", "--out", tmp_path)
-    assert (status, err) == (command.FITTED, "")
+    assert (status, err) == (FITTED, "")
     assert "the sky was fitted first: mean square error of log radiance 0.005" in out
     parameters = json.loads((tmp_path / "fit.json").read_text())["parameters"]
     assert parameters["SKY_HAZINESS"]["why"] == "searched"
@@ -331,7 +332,7 @@ BAD = {
 def test_bad_input_is_one_line_and_leaves_nothing(run, inside, tmp_path, words, said):
     before = sorted(inside.iterdir())
     status, out, err = run("fog", "fog.exr", *AT, *words, "--out", tmp_path / "out")
-    assert (status, out, err.count("\n")) == (command.BAD_INPUT, "", 1)
+    assert (status, out, err.count("\n")) == (BAD_INPUT, "", 1)
     assert [text for text in said if text not in err] == []
     assert not any(tmp_path.iterdir())
     assert sorted(inside.iterdir()) == before
