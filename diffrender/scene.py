@@ -28,6 +28,7 @@ from diffrender.effect import Render
 from diffrender.parameters import Specification, names, parameter, record, specifications
 from diffrender.rays import Rays, from_angles
 from diffrender.shading.wet_surface import Wetness
+from diffrender.weather.rain_drops import Rain
 
 
 @record
@@ -51,6 +52,7 @@ class Scene:
     far_fog: FarFog | None = None
     froxel_fog: FroxelFog | None = None
     wetness: Wetness | None = None  # of surfaces, which whole-sky pictures do not show either
+    rain: Rain | None = None
     antialiasing: AntiAliasing | None = None
 
 

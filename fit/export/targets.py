@@ -4,7 +4,7 @@ from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
-from diffrender.scene import Scene
+from diffrender.scene import RECORDS, Scene
 from fit import picture
 from fit.export import blender, godot, threejs, unity, unreal
 from fit.export.described import Described, described
@@ -22,6 +22,7 @@ TARGETS: dict[str, Callable[[Described], Exported]] = {
     "threejs": threejs.export,
 }
 ACCOUNT = "export.txt"
+DRAWN = ("exposure", "sun", "sky", "height_fog")  # parts of a scene that targets are given
 
 
 def check(target: str) -> None:
@@ -36,13 +37,9 @@ def check(target: str) -> None:
 
 def _undrawn(scene: Scene) -> list[str]:
     """What a weather file may hold and no target is given."""
-    parts = {
-        "AERIAL_PERSPECTIVE": scene.aerial_perspective,
-        "VOLLIGHT_FARFOG": scene.far_fog,
-        "VOLLIGHT": scene.froxel_fog,
-        "WETNESS": scene.wetness,
-    }
-    return [f"{prefix}_*, which no export draws" for prefix, part in parts.items() if part is not None]
+    prefixes = {kind: prefix for prefix, kind in RECORDS.items()}
+    parts = [part for name, part in vars(scene).items() if part is not None and name not in DRAWN]
+    return [f"{prefixes[type(part)]}_*, which no export draws" for part in parts]
 
 
 def write(target: str, scene: Scene, name: str, hour: float, folder: Path) -> str:
