@@ -28,7 +28,7 @@ _MOMENTS = (
     (1.2, 1.0, 1.0, 0.0, 5.7, 0.01),  # nearly along the streaks
 )
 _EYE = (0.0, 0.0, 1.7)
-_TRIED, _NEAREST = 20000, 2.0  # drops, and how near the nearest may be [m]
+_TRIED, _NEAREST = 6000, 2.0  # drops, and how near the nearest may be [m]
 _IN_VIEW = 0.97  # cosine of the angle to the middle of a picture
 _SIZE = 0.1  # radius of the drops [m]
 

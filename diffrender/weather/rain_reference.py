@@ -1,6 +1,6 @@
 """Rain by brute force: round drops at many instants of the exposure, seen through many places of every pixel's filter.
 
-Where a drop lands is looked for at every tenth of a millisecond of its path. Nothing but the dice, the light
+Where a drop lands is looked for at every quarter of a millisecond of its path. Nothing but the dice, the light
 and the shares in which drops are there is shared with `rain`.
 """
 
@@ -18,7 +18,7 @@ from diffrender.weather.rain_streaks import CLEAR, DARKEST, FILTER, SOFT, WHOLE
 from diffrender.weather.rain_tiles import Screen
 from diffrender.weather.rain_view import RainView
 
-_STEP = 1e-4  # in which paths are looked at [s]
+_STEP = 2.5e-4  # in which paths are looked at [s]
 _INSTANTS = 24
 _PLACES = 12  # across a pixel's filter, and as many down
 _MOVES = (0.7548777, 0.5698403)  # of the places from instant to instant, which fill the filter evenly
