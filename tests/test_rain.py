@@ -9,7 +9,7 @@ from diffrender.rays import Perspective, pixel_centres
 from diffrender.scene import weather_names
 from diffrender.weather import rain, rain_tiles
 from diffrender.weather.rain_drops import Drops, Moment, Rain, alive, enough, falls, living, place, shifted, thrown
-from diffrender.weather.rain_landing import NEVER, Obstacles, height_under, heights_from_above, landing_age
+from diffrender.weather.rain_landing import NEVER, Obstacles, height_under, heights_from_above, landing_age, level_share
 from diffrender.weather.rain_splashes import SPLASH
 from diffrender.weather.rain_streaks import DARKEST, Streaks
 from diffrender.weather.rain_tiles import Screen, unhidden
@@ -250,14 +250,27 @@ def test_splashes_begin_where_drops_land_and_last_their_time():
     view = view_of(some(3000), moment)
     fall = falls(rain_of(), view.drops, moment)
     landed = landing_age(rain_of(), fall, view.obstacles, moment.eye)
-    drawn = rain.splashing(fall, view, landed)
+    drawn = rain.splashing(rain_of(), fall, view, landed)
     there, weight = drawn.start.unflatten(0, (3000, -1)), drawn.weight.unflatten(0, (3000, -1))
     since = fall.age - landed
-    is_there = (since > 0.0) & (since <= SPLASH) & (fall.weight > 0.0)
+    is_level = level_share(rain_of(), view.obstacles, moment.eye, place(fall, landed)) > 0.0
+    is_there = (since > 0.0) & (since <= SPLASH) & (fall.weight > 0.0) & is_level
     assert torch.equal(weight > 0.0, is_there[:, None].expand_as(weight))
     off = torch.linalg.vector_norm(there.mean(1) - place(fall, landed), dim=-1)[is_there]
     assert float(off.max()) < 0.1
     assert int(is_there.sum()) > 100
+
+
+def test_nothing_splashes_in_the_air_beside_a_roof():
+    moment = moment_of(wind=vector(30.0, 0.0, 0.0), exposure=vector(0.0)[0])
+    view = view_of(some(20000), moment)
+    fall = falls(rain_of(), view.drops, moment)
+    landed = landing_age(rain_of(), fall, view.obstacles, moment.eye)
+    drawn = rain.splashing(rain_of(), fall, view, landed)
+    height = place(fall, landed)[:, 2] + 1.7
+    between = (height > 0.3) & (height < ROOF - 0.3)
+    assert int(between.sum()) > 20
+    assert float(drawn.weight.unflatten(0, (20000, -1))[between].max()) == 0.0
 
 
 def test_a_streak_ends_where_its_drop_lands_and_its_splash_begins_there():
@@ -268,7 +281,7 @@ def test_a_streak_ends_where_its_drop_lands_and_its_splash_begins_there():
     for age in ages:
         view = view_of(drops, moment_of())
         landed = fall.age - age
-        falling, splash = rain.falling(fall, view, landed), rain.splashing(fall, view, landed)
+        falling, splash = rain.falling(fall, view, landed), rain.splashing(still, fall, view, landed)
         shares = falling.weight[0], splash.weight[0]
         wanted = (0.02 - float(age.clamp(0.0, 0.02))) / 0.02
         torch.testing.assert_close(torch.stack(shares), vector(wanted, 1.0 - wanted) * fall.weight[0])

@@ -27,7 +27,7 @@ from torch import Tensor
 from diffrender.effect import Effect, Rung
 from diffrender.weather.rain_drops import Falls, Rain, alive, falls, place
 from diffrender.weather.rain_examples import example_inputs
-from diffrender.weather.rain_landing import height_under, landing_age
+from diffrender.weather.rain_landing import height_under, landing_age, level_share
 from diffrender.weather.rain_reference import instants
 from diffrender.weather.rain_splashes import SPLASH, leaps, shrunk, sides
 from diffrender.weather.rain_streaks import Streaks
@@ -43,7 +43,7 @@ def render(rain: Rain, view: RainView, nearest: int = NEAREST) -> Float[Tensor, 
     """Radiance behind and of the rain [W/(m² sr)]: streaks that end where drops land, and their splashes."""
     fall = falls(rain, view.drops, view.moment)
     landed = landing_age(rain, fall, view.obstacles, view.moment.eye)
-    drops, droplets = falling(fall, view, landed), splashing(fall, view, landed)
+    drops, droplets = falling(fall, view, landed), splashing(rain, fall, view, landed)
     every = Streaks(
         start=torch.cat([drops.start, droplets.start], -2),
         way=torch.cat([drops.way, droplets.way], -2),
@@ -90,15 +90,16 @@ def falling(fall: Falls, view: RainView, landed: Float[Tensor, "*batch drops"]) 
     return Streaks(first, last - first, radius, weight, view.drop_number)
 
 
-def splashing(fall: Falls, view: RainView, landed: Float[Tensor, "*batch drops"]) -> Streaks:
-    """Streaks of the droplets of all drops that have landed."""
+def splashing(rain: Rain, fall: Falls, view: RainView, landed: Float[Tensor, "*batch drops"]) -> Streaks:
+    """Streaks of the droplets of all drops that have landed where it is not steep."""
     exposure = view.moment.exposure[..., None]
     here = torch.minimum(landed, fall.age)
     ground = place(fall, here)
     opened = torch.maximum(here, fall.age - exposure)
     closed = torch.maximum(torch.minimum(fall.age, here + SPLASH), opened)
     is_there = (fall.age > landed) & (fall.age <= landed + SPLASH)
-    weight = fall.weight * _exposed(closed - opened, exposure, is_there)
+    level = level_share(rain, view.obstacles, view.moment.eye, ground)
+    weight = fall.weight * level * _exposed(closed - opened, exposure, is_there)
     rim, leap = view.drop_radius[..., None, None, None] * sides(view.drops), leaps(view.drops)
 
     def thrown(age: Tensor) -> Tensor:

@@ -1,9 +1,10 @@
 """Where drops land: on the heights that are seen from above, and on moving bodies such as characters.
 
 The heights are an orthographic depth map from the top, as in the talk [1], over a square of twice DEPTH_MAP_RADIUS. A
-drop ends where its path first meets them, so that wind drives rain under a roof's edge and leaves its lee dry. The path
-is looked at at 17 levels from the highest point of the map to the lowest, then halved where it first lies below: what
-is thinner than the drop's way between two levels, seen from the side, may be missed.
+drop ends where its path first meets them, so that the lee of a roof stays dry. All below a roof is solid to drops: none
+is driven under its edge, and what ends at that side or at a wall does not splash. The path is looked at at 17 levels
+from the highest point of the map to the lowest, then halved where it first lies below: what is thinner than the drop's
+way between two levels, seen from the side, may be missed.
 
 Bodies are spheres in uniform motion; a character is a few of them.
 
@@ -20,7 +21,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from diffrender.numerics import lookup, safe_sqrt
+from diffrender.numerics import lookup, safe_sqrt, smooth_rise
 from diffrender.parameters import record
 from diffrender.weather.rain_drops import Falls, Rain, place
 
@@ -75,6 +76,21 @@ def landing_age(
     for centre, moving, radius in each:
         earliest = torch.minimum(earliest, _on_body(fall, centre, moving, radius))
     return earliest
+
+
+def level_share(
+    rain: Rain, obstacles: Obstacles, eye: Float[Tensor, "*batch 3"], there: Float[Tensor, "*batch drops 3"]
+) -> Float[Tensor, "*batch drops"]:
+    """Share of a splash that there is on the slope of the map: all up to a gradient of 1, none from 2 on."""
+    half = rain.depth_map_radius / torch.tensor(obstacles.heights.shape).to(there)
+    square = torch.zeros_like(there[..., 2])
+    for axis in (0, 1):
+        # Half a cell to either side, so that edges between cells are as steep as they are anywhere.
+        step = half[axis] * torch.eye(3).to(there)[axis]
+        rise = height_under(rain, obstacles, eye, there + step) - height_under(rain, obstacles, eye, there - step)
+        gradient = rise / (2.0 * half[axis])
+        square = square + gradient * gradient
+    return 1.0 - smooth_rise(safe_sqrt(square) - 1.0, torch.ones_like(square))
 
 
 def _on_heights(rain: Rain, fall: Falls, obstacles: Obstacles, eye: Tensor) -> Tensor:

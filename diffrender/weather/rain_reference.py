@@ -12,7 +12,7 @@ from torch import Tensor
 
 from diffrender.numerics import smooth_rise
 from diffrender.weather.rain_drops import Falls, Rain, falls
-from diffrender.weather.rain_landing import height_under
+from diffrender.weather.rain_landing import height_under, level_share
 from diffrender.weather.rain_splashes import SPLASH, leaps, shrunk, sides
 from diffrender.weather.rain_streaks import CLEAR, DARKEST, FILTER, SOFT, WHOLE
 from diffrender.weather.rain_tiles import Screen
@@ -33,7 +33,7 @@ def instants(rain: Rain, view: RainView) -> Float[Tensor, "*batch height width 3
     for number in range(_INSTANTS):
         before = view.moment.exposure[..., None] * ((number + 0.5) / _INSTANTS)
         places = _filter(view.screen, number)
-        passed = passed + _passed(view, places, *_seen(fall, view, landed, before)) / _INSTANTS
+        passed = passed + _passed(view, places, *_seen(rain, fall, view, landed, before)) / _INSTANTS
     passed = passed ** view.drop_number[..., None, None]
     return view.light + (view.background - view.light) * passed[..., None]
 
@@ -65,7 +65,7 @@ def _landed(rain: Rain, fall: Falls, view: RainView) -> Float[Tensor, "*batch dr
     return torch.where(hit.any(-1), first * _STEP, math.inf)
 
 
-def _seen(fall: Falls, view: RainView, landed: Tensor, before: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+def _seen(rain: Rain, fall: Falls, view: RainView, landed: Tensor, before: Tensor) -> tuple[Tensor, Tensor, Tensor]:
     """Places relative to the eye, sizes and weights of all drops and droplets some time before the shutter closed."""
     age = fall.age - before
     radius = view.drop_radius[..., None].expand_as(age)
@@ -74,12 +74,14 @@ def _seen(fall: Falls, view: RainView, landed: Tensor, before: Tensor) -> tuple[
     since = age - landed
     splashes = (since > 0.0) & (since < SPLASH)
     since = torch.where(splashes, since, torch.zeros_like(since))[..., None]
-    ground = _at(fall, torch.where(splashes, landed, age))[..., None, :] + back[..., None, :]
+    ground = _at(fall, torch.where(splashes, landed, age))
+    level = level_share(rain, view.obstacles, view.moment.eye, ground)
+    ground = (ground + back)[..., None, :]
     leap = leaps(view.drops) * since[..., None] + sides(view.drops) * radius[..., None, None]
     down = 0.5 * fall.gravity * since * since
     droplet = ground + leap - torch.stack([torch.zeros_like(down), torch.zeros_like(down), down], -1)
     small = (radius[..., None] * shrunk(since)).expand(droplet.shape[:-1])
-    weight = (fall.weight * splashes)[..., None].expand(droplet.shape[:-1])
+    weight = (fall.weight * level * splashes)[..., None].expand(droplet.shape[:-1])
     return (
         torch.cat([drop[0], droplet.flatten(-3, -2)], -2),
         torch.cat([drop[1], small.flatten(-2)], -1),
