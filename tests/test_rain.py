@@ -234,6 +234,22 @@ def test_the_age_of_landing_has_the_gradient_of_its_path():
     assert torch.autograd.gradcheck(landed, given, fast_mode=True, rtol=1e-3)
 
 
+@pytest.mark.parametrize("dtype", [torch.float32, FLOAT])
+def test_level_ground_that_rises_is_met_sooner(dtype):
+    ground = torch.zeros(20, 20, dtype=dtype, requires_grad=True)
+    nobody, centre = torch.zeros(0, 3, dtype=dtype), torch.zeros(2, dtype=dtype)
+    level = Obstacles(ground, centre, nobody, nobody, nobody[:, 0])
+    eye = torch.tensor([0.0, 0.0, 1.7], dtype=dtype)
+    nothing = torch.zeros(3, dtype=dtype)
+    time = torch.tensor(7.3, dtype=dtype)
+    some_rain = defaults(Rain, dtype)
+    fall = falls(some_rain, thrown(50, torch.Generator(), dtype), Moment(eye, nothing, eye, time, 0.01 * time, nothing))
+    landed = landing_age(some_rain, fall, level, eye)
+    (slope,) = torch.autograd.grad(landed.sum(), ground)
+    sinks = 10.0 * landed - fall.velocity[:, 2]
+    torch.testing.assert_close(slope.sum(), -(1.0 / sinks).sum())
+
+
 @pytest.mark.parametrize("still", [{"emit_speed": 0.0, "emit_speedrandom": 0.0, "gravity": 0.0}])
 def test_drops_that_hang_never_land(still):
     hanging = rain_of(**still)

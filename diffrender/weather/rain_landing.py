@@ -94,22 +94,26 @@ def level_share(
 
 
 def _on_heights(rain: Rain, fall: Falls, obstacles: Obstacles, eye: Tensor) -> Tensor:
-    known = obstacles.heights.detach()
+    known, still = obstacles.heights.detach(), _detached(fall)
     top, bottom = (end - eye.detach()[..., None, 2] for end in (known.amax(), known.amin()))
 
-    def above(fall: Falls, level: Tensor) -> tuple[Tensor, Tensor]:
-        """Age at a level, and height there over the map."""
-        age = _age_at(fall, level)
-        under = height_under(rain, obstacles, eye, place(fall, age))
-        return age, torch.minimum(level, fall.start[..., 2]) - under
+    def above(level: Tensor) -> Tensor:
+        """Height over the map where paths pass a level."""
+        under = height_under(rain, obstacles, eye, place(still, _age_at(still, level)))
+        return (torch.minimum(level, still.start[..., 2]) - under).detach()
 
-    high, low = _bracket(lambda level: above(_detached(fall), level.detach())[1].detach(), top, bottom, fall.age)
-    (first, over), (last, below) = above(fall, high), above(fall, low)
-    # The secant of the last bracket: its gradient is that of the age itself.
-    step = over - below
-    flat = step <= 0.0
-    share = torch.where(flat, torch.zeros_like(step), over / torch.where(flat, torch.ones_like(step), step))
-    return first + (last - first) * share.clamp(0.0, 1.0)
+    high, low = _bracket(above, top, bottom, fall.age)
+    first, last, over, below = _age_at(still, high), _age_at(still, low), above(high), above(low)
+    # One step of Newton's method from the secant's end: its gradient is that of the age, on level ground too.
+    steep = (over > below) & (last > first)
+    share = torch.where(steep, over, 0.0) / torch.where(steep, over - below, 1.0)
+    age = first + (last - first) * share.clamp(0.0, 1.0)
+    secant = torch.where(steep, over - below, 0.0) / torch.where(steep, last - first, 1.0)
+    sinks = torch.where(steep, secant, still.gravity * age - still.velocity[..., 2])
+    there = place(fall, age)
+    left = there[..., 2] - height_under(rain, obstacles, eye, there)
+    hangs = sinks <= 0.0
+    return torch.relu(age + torch.where(hangs, 0.0, left) / torch.where(hangs, 1.0, sinks))
 
 
 def _bracket(above: Callable[[Tensor], Tensor], top: Tensor, bottom: Tensor, like: Tensor) -> tuple[Tensor, Tensor]:

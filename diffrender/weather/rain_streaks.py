@@ -26,8 +26,8 @@ DARKEST = 0.95  # most that one drop hides: it shines through, and the logarithm
 SOFT = 0.2  # depth over which a drop goes behind the scene, so that none is cut where it lands [m]
 CLEAR, WHOLE = 0.25, 0.75  # distances from the eye up to which a drop is not drawn, and from which on it is whole [m]
 
-_LEAST = 1e-5  # length that is added to every streak across the ray, so that all have a direction [m]
-_ALONG = 1e-6  # squared sine of the angle to the ray within which a streak is drawn as if at that angle
+_LEAST = 1e-4  # length that is added to every streak across the ray, so that all have a direction [m]
+_ALONG = 1e-4  # squared sine of the angle to the ray within which a streak is drawn as if at that angle
 _SHORT = 0.5  # length of a streak below which a series stands for a difference [standard deviations]
 
 
