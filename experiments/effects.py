@@ -28,7 +28,7 @@ from diffrender.parameters import defaults, names, specifications, to_cube
 from diffrender.rays import Camera, Equirectangular, Perspective, Rays, angles, from_angles, pixel_centres
 from diffrender.shading.wet_surface import WetView
 from diffrender.shading.wet_surface import example_inputs as wet_examples
-from experiments import wet_scenes
+from experiments import rain_street, wet_scenes
 from experiments.records import RESULTS
 
 IRRADIANCE = specifications(Sun)["irradiance"].default
@@ -224,6 +224,7 @@ HARD: Mapping[str, Callable[[], Mapping[str, Any]]] = {
     "sun disc": _hard_discs,
     "froxel fog": _hard_froxels,
     "wetness": _hard_surfaces,
+    "rain": lambda: {name: in_dtype(view, torch.float64) for name, view in rain_street.hard_views().items()},
 }
 
 

@@ -1,14 +1,15 @@
 """A street for rain to fall on: houses, a shelter, two people; its picture without rain, its distances and heights."""
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from diffrender.parameters import defaults
 from diffrender.rays import Perspective, pixel_centres
-from diffrender.weather.rain_drops import Drops, Moment, Rain
+from diffrender.weather.rain_drops import Drops, Moment, Rain, thrown
 from diffrender.weather.rain_landing import Obstacles, heights_from_above
 from diffrender.weather.rain_tiles import Screen
 from diffrender.weather.rain_view import RainView
@@ -98,6 +99,29 @@ def rain_view(
     seen = street(*size, moment.eye)
     radius, number = (moment.eye.new_tensor(one) for one in what_falls)
     return RainView(drops, obstacles(rain.depth_map_radius), moment, radius, number, *vars(seen).values())
+
+
+def hard_views() -> dict[str, RainView]:
+    """Small pictures of the street with more streaks than a tile has: a storm, a fast camera and no exposure."""
+    rain, eye = defaults(Rain), torch.tensor(EYE)
+    drops = thrown(300, torch.Generator().manual_seed(0), torch.float32)
+    found = {}
+    for name, wind, speed, exposure in (
+        ("storm", 20.0, 0.0, 0.02),
+        ("fast", 0.0, 30.0, 0.02),
+        ("at rest", 0.0, 0.0, 0.0),
+    ):
+        moment = Moment(
+            eye=eye,
+            velocity=torch.tensor([speed, 0.0, 0.0]),
+            emitter=eye,
+            time=torch.tensor(4.2),
+            exposure=torch.tensor(exposure),
+            wind=torch.tensor([0.0, wind, 0.0]),
+        )
+        view = rain_view(rain, drops, (20, 12), moment, (0.01, 30.0))
+        found[name] = replace(view, obstacles=obstacles(rain.depth_map_radius, size=64))
+    return found
 
 
 def street(width: int, height: int, eye: Tensor) -> Seen:

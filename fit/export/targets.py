@@ -22,7 +22,7 @@ TARGETS: dict[str, Callable[[Described], Exported]] = {
     "threejs": threejs.export,
 }
 ACCOUNT = "export.txt"
-DRAWN = ("exposure", "sun", "sky", "height_fog")  # parts of a scene that targets are given
+TOLD = ("exposure", "sun", "sky", "height_fog", "antialiasing")  # parts of a scene that targets give account of
 
 
 def check(target: str) -> None:
@@ -38,7 +38,7 @@ def check(target: str) -> None:
 def _undrawn(scene: Scene) -> list[str]:
     """What a weather file may hold and no target is given."""
     prefixes = {kind: prefix for prefix, kind in RECORDS.items()}
-    parts = [part for name, part in vars(scene).items() if part is not None and name not in DRAWN]
+    parts = [part for name, part in vars(scene).items() if part is not None and name not in TOLD]
     return [f"{prefixes[type(part)]}_*, which no export draws" for part in parts]
 
 
