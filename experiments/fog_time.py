@@ -82,6 +82,18 @@ def in_bands(draw: Draw) -> Draw:
     return banded
 
 
+def in_cache(draw: Draw) -> Draw:
+    """As many pixels of the first band of rows, again and again: what arithmetic alone takes, no memory waited for."""
+
+    def repeated(direction: Tensor, length: Tensor, background: Tensor) -> Tensor:
+        band = slice(0, BAND)
+        for _ in range(0, len(length), BAND):
+            picture = draw(direction[band], length[band], background[band])
+        return picture
+
+    return repeated
+
+
 def march(steps: int, compiled: Callable[..., Any]) -> Draw:
     """The same integral by steps of equal length, each exact for its own depth."""
     fog = defaults(HeightFog)
@@ -184,6 +196,7 @@ def beside_copy(inputs: Inputs, rounds: int, compiled: Callable[..., Any]) -> li
         "forward, eager": closed_form(),
         "forward, eager in bands": in_bands(closed_form()),
         "forward, compiled": compiled(closed_form()),
+        "forward, compiled, one band in the cache": in_cache(compiled(closed_form())),
         "forward, grey, compiled": compiled(closed_form(height_fog.render_grey)),
         "forward and backward, eager": value_and_gradient(as_it_is),
         "forward and backward, eager in bands": gradient_in_bands,
