@@ -1,0 +1,97 @@
+"""Light of many lamps by slow and plain means: lamp by lamp, with no formula of the fast one but its model.
+
+A lamp's disc is summed ring by ring. Facets are Walter's [1] by the tangents of their angles, Smith's function of both
+directions together [2]. Profiles are looked up corner by corner, each with the weight of a tent.
+
+[1] B. Walter et al., "Microfacet Models for Refraction through Rough Surfaces", EGSR 2007, section 5.
+[2] E. Heitz, "Understanding the Masking-Shadowing Function in Microfacet-Based BRDFs", JCGT 3(2), 2014, section 5.3.
+"""
+
+import math
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from diffrender.shading.brdf import DIELECTRIC
+from diffrender.shading.lamps import Lamps, LitView, LocalLights, Places
+from diffrender.shading.light_profile import Profiles
+from diffrender.shading.microfacet import LEAST_COSINE, MIRROR_SPREAD
+
+_RINGS = 16  # of equal area
+
+
+def reference(lights: LocalLights, view: LitView) -> Float[Tensor, "*batch pixels 3"]:
+    """Radiance of all lamps' light that surfaces send to the eye [W/(m² sr)]."""
+    total = torch.zeros_like(view.places.position)
+    for number in range(len(view.lamps.reach)):
+        lamp = Lamps(**{name: value[number] for name, value in vars(view.lamps).items()})
+        total = total + _of_lamp(lights, view, lamp)
+    return total * lights.intensity_scale
+
+
+def _of_lamp(lights: LocalLights, view: LitView, lamp: Lamps) -> Tensor:
+    towards = lamp.position - view.places.position
+    distance = towards.norm(dim=-1)
+    to_light = towards / distance[..., None]
+    share = distance / (lamp.reach * lights.reach_scale)
+    window = torch.where(share < 1, (1 - share**4) ** 2, 0.0)
+    strength = _disc(distance, lights.source_radius) * window * _cone(lamp, to_light)
+    if view.profiles is not None and lamp.profile >= 0:
+        strength = strength * _profile(view.profiles, lamp, to_light)
+    return lamp.intensity * strength[..., None] * _reflected(view.places, to_light)
+
+
+def _disc(distance: Tensor, radius: Tensor) -> Tensor:
+    """Irradiance by a disc of evenly bright rings, over its intensity: both cosines are those of the way to a ring."""
+    total = torch.zeros_like(distance)
+    for ring in range(_RINGS):
+        way_square = distance**2 + radius**2 * (ring + 0.5) / _RINGS
+        total = total + (distance / way_square) ** 2 / _RINGS
+    return total
+
+
+def _cone(lamp: Lamps, to_light: Tensor) -> Tensor:
+    cosine = -(to_light * lamp.axis).sum(-1)
+    share = ((cosine - lamp.cos_outer) / (lamp.cos_inner - lamp.cos_outer)).clamp(0, 1)
+    return 3 * share**2 - 2 * share**3
+
+
+def _profile(profiles: Profiles, lamp: Lamps, to_light: Tensor) -> Tensor:
+    """Sum over all corners of a table of their intensity by what is left of them at a direction."""
+    table = profiles.intensity[lamp.profile]
+    rows, columns = table.shape
+    vertical = torch.acos((-(to_light * lamp.axis).sum(-1)).clamp(-1, 1))
+    side = torch.linalg.cross(lamp.across, lamp.axis)
+    horizontal = torch.atan2(-(to_light * side).sum(-1), -(to_light * lamp.across).sum(-1)) % (2 * math.pi)
+    step = math.pi / (rows - 1), 2 * math.pi / (columns - 1)
+    of_row = torch.relu(1 - (vertical[..., None] / step[0] - torch.arange(rows)).abs())
+    of_column = torch.relu(1 - (horizontal[..., None] / step[1] - torch.arange(columns)).abs())
+    found = torch.einsum("...r,rc,...c->...", of_row, table, of_column)
+    measured = (vertical >= profiles.first[lamp.profile]) & (vertical <= profiles.last[lamp.profile])
+    return torch.where(measured, found, 0.0)
+
+
+def _reflected(places: Places, to_light: Tensor) -> Tensor:
+    """BRDF times the light's cosine: facets above ground that is lit and seen through their Fresnel."""
+    cos_light = (places.normal * to_light).sum(-1)
+    cos_eye = (places.normal * places.to_eye).sum(-1).clamp(LEAST_COSINE, 1)
+    is_lit = cos_light > 0
+    cos_light = torch.where(is_lit, cos_light, 0.5)
+    half = to_light + places.to_eye
+    half = half / half.norm(dim=-1, keepdim=True)
+    spread_square = places.roughness**4 + MIRROR_SPREAD**2
+    # From the sine: the cosine of a mirror's facet has too few digits.
+    sine = torch.linalg.cross(half, places.normal).norm(dim=-1)
+    cosine = (half * places.normal).sum(-1)
+    tangent_square = (sine / cosine) ** 2
+    density = spread_square / (math.pi * cosine**4 * (spread_square + tangent_square) ** 2)
+    hidden = sum((torch.sqrt(1 + spread_square * (c**-2 - 1)) - 1) / 2 for c in (cos_eye, cos_light))
+    facets = density / (1 + hidden) / (4 * cos_eye * cos_light)
+    metal = places.metallic[..., None]
+    straight = DIELECTRIC * (1 - metal) + places.base * metal
+    mirrored = straight + (1 - straight) * ((1 - (half * to_light).sum(-1)) ** 5)[..., None]
+    crossed = (1 - (1 - cos_light) ** 5) * (1 - (1 - cos_eye) ** 5)
+    ground = places.base * (1 - metal) * (1 - straight) * (crossed / math.pi)[..., None]
+    sent = (mirrored * facets[..., None] + ground) * cos_light[..., None]
+    return torch.where(is_lit[..., None], sent, 0.0)
