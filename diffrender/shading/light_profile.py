@@ -69,11 +69,11 @@ def flux(profile: Profile) -> Float[Tensor, ""]:
 def even(profiles: Sequence[Profile], rows: int, columns: int) -> Profiles:
     """Profiles at even steps: the same wherever their angles are multiples of the steps, else cut at their corners."""
     like = profiles[0].intensity
-    turn = torch.linspace(0.0, 2.0 * math.pi, columns).to(like)
+    turn = torch.linspace(0.0, 2.0 * math.pi, columns, dtype=like.dtype)
 
     def stepped(profile: Profile) -> Tensor:
         # Where nothing was measured the border's value, so that no step is smoothed into a slope.
-        measured = torch.linspace(0.0, math.pi, rows).to(like).clamp(profile.vertical[0], profile.vertical[-1])
+        measured = torch.linspace(0.0, math.pi, rows, dtype=like.dtype).clamp(profile.vertical[0], profile.vertical[-1])
         return _at(profile, *torch.meshgrid(measured, turn, indexing="ij"))
 
     return Profiles(
