@@ -25,6 +25,7 @@ import math
 import torch
 from jaxtyping import Bool, Float, Int, Shaped
 from torch import Tensor
+from torch.nn.functional import pad
 
 from diffrender.parameters import record
 from diffrender.rays import Perspective
@@ -166,8 +167,9 @@ def cells(listed: Int[Tensor, "tiles longest"], lights: Spheres, span: Depths, s
     start, end = (slice_of(place, span, slices)[..., None] for place in (ahead - radius, ahead + radius))
     number = torch.arange(slices, device=listed.device)
     found = is_light[..., None] & (start <= number) & (number <= end)
-    place = torch.arange(listed.shape[1], device=listed.device)[:, None]
-    none = listed.shape[1]
-    first = torch.where(found, place, none).amin(1) if none else torch.zeros_like(found[:, 0].long())
-    last = torch.where(found, place, -1).amax(1) if none else first - 1
+    count = listed.shape[1]
+    place = torch.arange(count, device=listed.device)[:, None]
+    # A column that no slice holds, for lists of none.
+    first = pad(torch.where(found, place, count), (0, 0, 0, 1), value=count).amin(1)
+    last = pad(torch.where(found, place, -1), (0, 0, 0, 1), value=-1).amax(1)
     return Cells(first, last)
