@@ -26,9 +26,11 @@ from diffrender.atmosphere.sky import SkyView
 from diffrender.catalogue import EFFECTS
 from diffrender.parameters import defaults, names, specifications, to_cube
 from diffrender.rays import Camera, Equirectangular, Perspective, Rays, angles, from_angles, pixel_centres
+from diffrender.shading.lamps import LitView
+from diffrender.shading.lamps import example_inputs as lit_examples
 from diffrender.shading.wet_surface import WetView
 from diffrender.shading.wet_surface import example_inputs as wet_examples
-from experiments import rain_street, wet_scenes
+from experiments import lamp_scenes, rain_street, wet_scenes
 from experiments.records import RESULTS
 
 IRRADIANCE = specifications(Sun)["irradiance"].default
@@ -128,12 +130,20 @@ def _wet_picture(width: int, height: int) -> WetView:
     return wet_scenes.street(wet_scenes.puddle_camera(width, height), wet_scenes.Weather())
 
 
+def _lit_picture(width: int, height: int) -> LitView:
+    """A hall of 200 lamps."""
+    draw = torch.Generator().manual_seed(0)
+    shown = lamp_scenes.seen(lamp_scenes.camera(width, height), draw)
+    return lamp_scenes.view(shown, lamp_scenes.lamps(200, draw), tile=16)
+
+
 # Effect -> inputs of a picture so wide and high, in float64.
 PICTURES: Mapping[str, Callable[[int, int], Any]] = {
     "sky": _sky_picture,
     "sun disc": _disc_picture,
     "froxel fog": _froxel_picture,
     "wetness": _wet_picture,
+    "local lights": _lit_picture,
 }
 
 
@@ -218,12 +228,31 @@ def _hard_surfaces() -> dict[str, WetView]:
     }
 
 
+def _hard_lamps() -> dict[str, LitView]:
+    """Lamps on the surface and just above it, at the eye's mirror, and by grazing eyes."""
+    seen = lit_examples(torch.float64)
+    places, lamps = seen.places, seen.lamps
+    across = torch.tensor([-1.0, -1.0, 1.0], dtype=torch.float64)
+    level = torch.nn.functional.normalize(places.to_eye * torch.tensor([1.0, 1.0, 1e-3], dtype=torch.float64), dim=-1)
+    on, above = lamps.position.clone(), lamps.position.clone()
+    on[1], above[1] = places.position[0, 0], places.position[0, 0] + 1e-4 * places.normal[0, 0]
+    mirrored = lamps.position.clone()
+    mirrored[1] = places.position[3, 0] + 0.5 * across * places.to_eye[3, 0]
+    return {
+        "lamp on the surface": replace(seen, lamps=replace(lamps, position=on)),
+        "lamp just above it": replace(seen, lamps=replace(lamps, position=above)),
+        "lamp mirrored": replace(seen, lamps=replace(lamps, position=mirrored)),
+        "eye at the horizon": replace(seen, places=replace(places, to_eye=level)),
+    }
+
+
 # Effect -> its hard inputs by name, in float64.
 HARD: Mapping[str, Callable[[], Mapping[str, Any]]] = {
     "sky": _hard_skies,
     "sun disc": _hard_discs,
     "froxel fog": _hard_froxels,
     "wetness": _hard_surfaces,
+    "local lights": _hard_lamps,
     "rain": lambda: {name: in_dtype(view, torch.float64) for name, view in rain_street.hard_views().items()},
 }
 
