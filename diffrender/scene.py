@@ -27,6 +27,7 @@ from diffrender.catalogue import EFFECTS
 from diffrender.effect import Render
 from diffrender.parameters import Specification, names, parameter, record, specifications
 from diffrender.rays import Rays, from_angles
+from diffrender.shading.lamps import LocalLights
 from diffrender.shading.wet_surface import Wetness
 from diffrender.weather.rain_drops import Rain
 
@@ -53,6 +54,7 @@ class Scene:
     froxel_fog: FroxelFog | None = None
     wetness: Wetness | None = None  # of surfaces, which whole-sky pictures do not show either
     rain: Rain | None = None
+    local_lights: LocalLights | None = None
     antialiasing: AntiAliasing | None = None
 
 
