@@ -164,6 +164,20 @@ def lookup(
     return torch.lerp(upper, lower, down)
 
 
+def gauss_legendre(count: int) -> tuple[Float[Tensor, " n"], Float[Tensor, " n"]]:
+    """Places in [-1, 1] and weights of the rule that is exact up to the power 2 count - 1.
+
+    By G. Golub and J. Welsch, "Calculation of Gauss quadrature rules", Mathematics of Computation 23, 1969. In float64.
+
+    >>> gauss_legendre(2)[0]
+    tensor([-0.5774,  0.5774], dtype=torch.float64)
+    """
+    order = torch.arange(1, count, dtype=torch.float64)
+    beside = order / torch.sqrt(4.0 * order * order - 1.0)
+    place, vectors = torch.linalg.eigh(torch.diag(beside, 1) + torch.diag(beside, -1))
+    return place, 2.0 * vectors[0].square()
+
+
 def b_splines(place: Float[Tensor, "*batch"], count: int) -> Float[Tensor, "*batch {count}"]:
     """Cubic B-splines of a number of coefficients at places in [0, 1]; outside, those of the nearer end.
 

@@ -6,7 +6,7 @@ import torch
 
 from diffrender.atmosphere import scattering, sky_reference
 from diffrender.atmosphere.scattering import HAZE, OZONE, PLANET_RADIUS, RAYLEIGH, SUN_RADIUS, TOP, Medium
-from diffrender.atmosphere.sky_reference import gauss_legendre
+from diffrender.numerics import gauss_legendre
 
 
 def double(value):

@@ -7,8 +7,8 @@ from torch.utils import _pytree as pytree
 
 from diffrender.atmosphere import scattering, sky, sky_reference
 from diffrender.atmosphere.sky import EFFECT, Sky, SkyView
-from diffrender.atmosphere.sky_reference import gauss_legendre
 from diffrender.colour import luminance
+from diffrender.numerics import gauss_legendre
 from diffrender.parameters import defaults
 from diffrender.rays import from_angles
 

@@ -6,7 +6,7 @@ import torch
 
 from diffrender.atmosphere import sky, sky_reference, sky_view, stored_tables, sun_axis, two_tables
 from diffrender.atmosphere.sky import EFFECT, Sky, SkyView
-from diffrender.atmosphere.sky_reference import gauss_legendre
+from diffrender.numerics import gauss_legendre
 from diffrender.parameters import defaults
 from diffrender.rays import from_angles
 

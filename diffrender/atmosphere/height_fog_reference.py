@@ -9,7 +9,8 @@ from jaxtyping import Float
 from torch import Tensor
 
 from diffrender.atmosphere.scattering import PLANET_RADIUS
-from diffrender.atmosphere.sky_reference import gauss_legendre, running_weights
+from diffrender.atmosphere.sky_reference import running_weights
+from diffrender.numerics import gauss_legendre
 from diffrender.parameters import record
 from diffrender.rays import Rays
 

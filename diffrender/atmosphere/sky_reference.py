@@ -4,8 +4,6 @@ Shares with it the model (densities, coefficients, the series over orders) but n
 no step that is exact for its medium, no bilinear table. Gauss and Legendre's rule is applied between the heights where
 densities bend, along rays towards the eye, round every point and towards the sun. Mean radiance, as
 `multiple_scattering.mean_radiance` defines it, is a polynomial in height and sun. Works in float64 on the CPU.
-
-[1] G. Golub, J. Welsch, "Calculation of Gauss quadrature rules", Mathematics of Computation 23, 1969.
 """
 
 import math
@@ -17,6 +15,7 @@ from torch import Tensor
 
 from diffrender.atmosphere.scattering import PLANET_RADIUS, SUN_RADIUS, TOP, Medium, density
 from diffrender.atmosphere.sky_view import SkyView
+from diffrender.numerics import gauss_legendre
 from diffrender.parameters import record
 
 # Heights [m] between which the rule is applied; the ozone's tent bends at 10, 25 and 40 km.
@@ -190,14 +189,6 @@ def _weights(air: Medium, ray: Nodes, species: Tensor) -> tuple[Tensor, Tensor]:
     panel = (extinction * ray.length[..., None]).sum(-2)
     before = torch.cumsum(panel, -2) - panel
     return torch.exp(-before[..., None, :] - within) * ray.length[..., None], torch.exp(-panel.sum(-2))
-
-
-def gauss_legendre(count: int) -> tuple[Float[Tensor, " n"], Float[Tensor, " n"]]:
-    """Places in [-1, 1] and weights of the rule that is exact up to the power 2 count - 1 [1]."""
-    order = torch.arange(1, count, dtype=torch.float64)
-    beside = order / torch.sqrt(4.0 * order * order - 1.0)
-    place, vectors = torch.linalg.eigh(torch.diag(beside, 1) + torch.diag(beside, -1))
-    return place, 2.0 * vectors[0].square()
 
 
 def running_weights(count: int) -> Float[Tensor, "n n"]:
