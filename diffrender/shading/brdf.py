@@ -60,6 +60,15 @@ class Geometry:
 
 
 @record
+class Cosines:
+    """Of the normal with eye and light, and of the half vector with either; from 0 to 1."""
+
+    eye: Float[Tensor, "*#batch"]
+    light: Float[Tensor, "*#batch"]
+    half: Float[Tensor, "*#batch"]
+
+
+@record
 class EvenSky:
     """Radiance of a direction: the mean plus the gradient times the sine of its elevation [W/(m² sr)]."""
 
@@ -83,15 +92,27 @@ def reflected(material: Material, geometry: Geometry, visible: Visible = visible
 
     0 for a light below the surface.
     """
-    cos_eye, cos_light = _cosines(geometry)
-    half = geometry.to_eye + geometry.to_light
+    found, spread = cosines(geometry), spread_squared(material.roughness)
+    facets = ggx(geometry.to_eye + geometry.to_light, geometry.normal, spread)
+    return sent(material, facets * visible(found.eye, found.light, spread), found)
+
+
+def cosines(geometry: Geometry) -> Cosines:
+    """Cosines at a surface, of an eye that is above it and a light that may have set."""
+    to_eye, to_light = ((geometry.normal * one).sum(-1) for one in (geometry.to_eye, geometry.to_light))
     # Of the half vector with either direction: |l + v| / 2.
-    cos_half = (0.5 * torch.linalg.vector_norm(half, dim=-1)).clamp(max=1.0)
-    spread = spread_squared(material.roughness)
-    facets = ggx(half, geometry.normal, spread) * visible(cos_eye, cos_light, spread)
-    mirrored = fresnel_schlick(material.straight, cos_half) * facets[..., None]
-    lit = (cos_light / math.pi * _crossed(cos_light))[..., None]
-    return mirrored + _ground(material, cos_eye) * lit
+    half = 0.5 * torch.linalg.vector_norm(geometry.to_eye + geometry.to_light, dim=-1)
+    return Cosines(to_eye.clamp(LEAST_COSINE, 1.0), to_light.clamp(0.0, 1.0), half.clamp(max=1.0))
+
+
+def sent(material: Material, facets: Float[Tensor, "*#batch"], cosines: Cosines) -> Float[Tensor, "*batch 3"]:
+    """The same of so many facets that mirror the light to the eye and are seen by both [1/sr], with the ground's share.
+
+    What lights of a size are made of, whose facets are counted otherwise than of a point.
+    """
+    mirrored = fresnel_schlick(material.straight, cosines.half) * facets[..., None]
+    lit = (cosines.light / math.pi * _crossed(cosines.light))[..., None]
+    return mirrored + _ground(material, cosines.eye) * lit
 
 
 def reflected_sky(material: Material, geometry: Geometry, sky: EvenSky) -> Float[Tensor, "*batch 3"]:
@@ -126,11 +147,6 @@ def moments(cos_eye: Float[Tensor, "*#batch"], roughness: Float[Tensor, "*#batch
     row, column = cos_eye.sqrt() * (_COSINES - 1.0), roughness * (_ROUGHNESSES - 1.0)
     row, column = row + 0.0 * column, column + 0.0 * row
     return lookup(_moments().to(cos_eye), row, column)
-
-
-def _cosines(geometry: Geometry) -> tuple[Tensor, Tensor]:
-    cos_eye = (geometry.normal * geometry.to_eye).sum(-1).clamp(LEAST_COSINE, 1.0)
-    return cos_eye, (geometry.normal * geometry.to_light).sum(-1).clamp(0.0, 1.0)
 
 
 def _crossed(cosine: Tensor) -> Tensor:
