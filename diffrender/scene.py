@@ -28,6 +28,7 @@ from diffrender.effect import Render
 from diffrender.parameters import Specification, names, parameter, record, specifications
 from diffrender.rays import Rays, from_angles
 from diffrender.shading.lamps import LocalLights
+from diffrender.shading.sphere_surface import SphereLight
 from diffrender.shading.wet_surface import Wetness
 from diffrender.weather.rain_drops import Rain
 
@@ -55,6 +56,7 @@ class Scene:
     wetness: Wetness | None = None  # of surfaces, which whole-sky pictures do not show either
     rain: Rain | None = None
     local_lights: LocalLights | None = None
+    sphere_light: SphereLight | None = None
     antialiasing: AntiAliasing | None = None
 
 
