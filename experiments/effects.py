@@ -28,9 +28,11 @@ from diffrender.parameters import defaults, names, specifications, to_cube
 from diffrender.rays import Camera, Equirectangular, Perspective, Rays, angles, from_angles, pixel_centres
 from diffrender.shading.lamps import LitView
 from diffrender.shading.lamps import example_inputs as lit_examples
+from diffrender.shading.sphere_surface import SphereView
+from diffrender.shading.sphere_surface import example_inputs as sphere_examples
 from diffrender.shading.wet_surface import WetView
 from diffrender.shading.wet_surface import example_inputs as wet_examples
-from experiments import lamp_scenes, rain_street, wet_scenes
+from experiments import lamp_plain, lamp_scenes, rain_street, wet_scenes
 from experiments.records import RESULTS
 
 IRRADIANCE = specifications(Sun)["irradiance"].default
@@ -137,6 +139,11 @@ def _lit_picture(width: int, height: int) -> LitView:
     return lamp_scenes.view(shown, lamp_scenes.lamps(200, draw), tile=16)
 
 
+def _sphere_picture(width: int, height: int) -> SphereView:
+    """A plain that mirrors a low lamp."""
+    return lamp_plain.plain(width, height, roughness=0.3)
+
+
 # Effect -> inputs of a picture so wide and high, in float64.
 PICTURES: Mapping[str, Callable[[int, int], Any]] = {
     "sky": _sky_picture,
@@ -144,6 +151,7 @@ PICTURES: Mapping[str, Callable[[int, int], Any]] = {
     "froxel fog": _froxel_picture,
     "wetness": _wet_picture,
     "local lights": _lit_picture,
+    "sphere light": _sphere_picture,
 }
 
 
@@ -246,6 +254,16 @@ def _hard_lamps() -> dict[str, LitView]:
     }
 
 
+def _hard_spheres() -> dict[str, SphereView]:
+    """All of the examples as mirrors, as rough as can be, and with a grazing eye."""
+    seen = sphere_examples(torch.float64)
+    up = (seen.normal * seen.to_eye).sum(-1, keepdim=True)
+    level = torch.nn.functional.normalize(seen.to_eye - (up - 0.02) * seen.normal, dim=-1)
+    roughness = {"mirrors": 0.0, "nearly mirrors": 0.02, "roughest": 1.0}
+    found = {name: replace(seen, roughness=torch.full_like(seen.roughness, of)) for name, of in roughness.items()}
+    return found | {"grazing eye": replace(seen, to_eye=level)}
+
+
 # Effect -> its hard inputs by name, in float64.
 HARD: Mapping[str, Callable[[], Mapping[str, Any]]] = {
     "sky": _hard_skies,
@@ -254,6 +272,7 @@ HARD: Mapping[str, Callable[[], Mapping[str, Any]]] = {
     "wetness": _hard_surfaces,
     "local lights": _hard_lamps,
     "rain": lambda: {name: in_dtype(view, torch.float64) for name, view in rain_street.hard_views().items()},
+    "sphere light": _hard_spheres,
 }
 
 

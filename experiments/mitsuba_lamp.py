@@ -1,0 +1,167 @@
+"""Sphere lights beside Mitsuba 3: a plane of GGX metal under a sphere that shines, as both see one place of it.
+
+Mitsuba's facets are hidden from eye and light apart, as Smith's function is at its simplest; ours are, for this, too.
+Both sums and the last renderer are compared; the noise is Mitsuba's, from the spread between its pixels, all of which
+look at the same place. What sums miss by more than noise would be an error of them or of the BRDF; what the renderer
+misses is what `experiments.sphere_light` says of it.
+"""
+
+import argparse
+import importlib
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from diffrender.rays import from_angles
+from diffrender.shading.microfacet import spread_squared
+from diffrender.shading.sphere_light import render
+from diffrender.shading.sphere_light_reference import summed
+from diffrender.shading.sphere_surface import SphereLight, SphereView
+from experiments import records
+from experiments.timing import THREADS
+
+ROUGHNESSES = (0.2, 0.4, 0.6, 0.8, 1.0)
+SINES = (0.05, 0.2, 0.5)
+# Elevations of light and eye, and the eye's azimuth from the light's [degrees].
+DIRECTIONS = ((60.0, 60.0, 180.0), (40.0, 30.0, 170.0), (35.0, 12.0, 180.0), (70.0, 50.0, 90.0))
+PIXELS, SAMPLES, SMALL_SAMPLES = 16, 256, 4
+CAMERA, FIELD = 0.1, 0.01  # distance of the camera [m], its field of view [degrees]
+
+
+@dataclass(frozen=True)
+class Compared:
+    """Radiance of a place, of a sphere of radiance 1.
+
+    Attributes:
+        noise: standard error of Mitsuba's.
+    """
+
+    roughness: float
+    sine: float
+    light: float
+    eye: float
+    turn: float
+    mitsuba: float
+    noise: float
+    summed: float
+    rendered: float
+
+
+def visible_apart(cos_eye: Tensor, cos_light: Tensor, spread_square: Tensor) -> Tensor:
+    """Smith's share of facets that eye and light see, each for itself, over 4 cos_eye."""
+
+    def seen(cosine: Tensor) -> Tensor:
+        return 1.0 / (cosine + torch.sqrt(cosine * cosine * (1.0 - spread_square) + spread_square))
+
+    return cos_light * seen(cos_eye) * seen(cos_light)
+
+
+def surface(case: tuple[float, float, float], roughness: float) -> SphereView:
+    """White metal in the origin, the light 1 m away."""
+    light, eye, turn = (torch.tensor(math.radians(angle), dtype=torch.float64) for angle in case)
+    return SphereView(
+        position=torch.zeros(3, dtype=torch.float64),
+        normal=torch.eye(3, dtype=torch.float64)[2],
+        to_eye=from_angles(eye, turn),
+        base=torch.ones(3, dtype=torch.float64),
+        roughness=torch.tensor(roughness, dtype=torch.float64),
+        metallic=torch.tensor(1.0, dtype=torch.float64),
+        centre=from_angles(light, torch.zeros_like(light)),
+    )
+
+
+def started() -> Any:
+    """Mitsuba, by single rays, which needs no LLVM."""
+    mitsuba: Any = importlib.import_module("mitsuba")
+    mitsuba.set_variant("scalar_rgb")
+    importlib.import_module("drjit").set_thread_count(THREADS)
+    return mitsuba
+
+
+def traced(mitsuba: Any, view: SphereView, sine: float, samples: int) -> tuple[float, float]:
+    """Radiance that Mitsuba finds at the place, and its standard error."""
+    up = mitsuba.ScalarTransform4f
+    scene = mitsuba.load_dict(
+        {
+            "type": "scene",
+            "integrator": {"type": "direct"},
+            "plane": {
+                "type": "rectangle",
+                "bsdf": {
+                    "type": "roughconductor",
+                    "material": "none",
+                    "distribution": "ggx",
+                    "alpha": float(spread_squared(view.roughness).sqrt()),
+                },
+            },
+            "lamp": {
+                "type": "sphere",
+                "center": view.centre.tolist(),
+                "radius": sine,
+                "emitter": {"type": "area", "radiance": {"type": "rgb", "value": 1.0}},
+            },
+            "sensor": {
+                "type": "perspective",
+                "fov": FIELD,
+                "near_clip": 0.1 * CAMERA,
+                "to_world": up().look_at(
+                    origin=(CAMERA * view.to_eye).tolist(), target=[0.0, 0.0, 0.0], up=[0.3, 0.9, 0.1]
+                ),
+                "film": {"type": "hdrfilm", "width": PIXELS, "height": PIXELS, "rfilter": {"type": "box"}},
+                "sampler": {"type": "independent", "sample_count": samples},
+            },
+        }
+    )
+    pixels = np.array(mitsuba.render(scene))[..., 1].astype(np.float64)
+    return float(pixels.mean()), float(pixels.std(ddof=1) / math.sqrt(pixels.size))
+
+
+def compared(mitsuba: Any, samples: int) -> list[Compared]:
+    """All places."""
+    found = []
+    for roughness in ROUGHNESSES:
+        for sine in SINES:
+            light = SphereLight(torch.tensor(sine, dtype=torch.float64), torch.ones(3, dtype=torch.float64))
+            for case in DIRECTIONS:
+                view = surface(case, roughness)
+                ours = summed(light, view, visible=visible_apart), render(light, view, visible_apart)
+                numbers = (*traced(mitsuba, view, sine, samples), *(float(one[1]) for one in ours))
+                found.append(Compared(roughness, sine, *case, *numbers))
+    return found
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    """Print what both find, and write it as JSON."""
+    parser = argparse.ArgumentParser(description=main.__doc__)
+    parser.add_argument("--size", choices=["small", "full"], default="full")
+    parser.add_argument("--out", type=Path, default=records.RESULTS)
+    given = parser.parse_args(arguments)
+    found = compared(started(), SMALL_SAMPLES if given.size == "small" else SAMPLES)
+    head = ["roughness, sine, light, eye, turn", "Mitsuba", "noise", "sums", "in noise", "last renderer"]
+    print(records.table(head, [_row(one) for one in found]))
+    off = [(one.summed - one.mitsuba) / one.noise for one in found]
+    print(
+        f"sums: root mean square {np.sqrt(np.mean(np.square(off))):.2f} of the noise, at most {np.abs(off).max():.1f}"
+    )
+    records.write(given.out / "mitsuba_lamp.json", {"records": [vars(one) for one in found]})
+
+
+def _row(one: Compared) -> list[str]:
+    return [
+        f"{one.roughness:g}, {one.sine:g}, {one.light:g}, {one.eye:g}, {one.turn:g}",
+        f"{one.mitsuba:.5f}",
+        f"{one.noise / one.mitsuba:.2%}",
+        f"{one.summed / one.mitsuba:.4f}",
+        f"{(one.summed - one.mitsuba) / one.noise:+.1f}",
+        f"{one.rendered / one.mitsuba:.3f}",
+    ]
+
+
+if __name__ == "__main__":
+    main()
