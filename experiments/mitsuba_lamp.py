@@ -86,7 +86,9 @@ def started() -> Any:
 
 def traced(mitsuba: Any, view: SphereView, sine: float, samples: int) -> tuple[float, float]:
     """Radiance that Mitsuba finds at the place, and its standard error."""
-    up = mitsuba.ScalarTransform4f
+    camera = mitsuba.ScalarTransform4f().look_at(
+        origin=(CAMERA * view.to_eye).tolist(), target=[0.0, 0.0, 0.0], up=[0.3, 0.9, 0.1]
+    )
     scene = mitsuba.load_dict(
         {
             "type": "scene",
@@ -110,9 +112,7 @@ def traced(mitsuba: Any, view: SphereView, sine: float, samples: int) -> tuple[f
                 "type": "perspective",
                 "fov": FIELD,
                 "near_clip": 0.1 * CAMERA,
-                "to_world": up().look_at(
-                    origin=(CAMERA * view.to_eye).tolist(), target=[0.0, 0.0, 0.0], up=[0.3, 0.9, 0.1]
-                ),
+                "to_world": camera,
                 "film": {"type": "hdrfilm", "width": PIXELS, "height": PIXELS, "rfilter": {"type": "box"}},
                 "sampler": {"type": "independent", "sample_count": samples},
             },

@@ -6,6 +6,9 @@ and for grazing ones, with the sphere whole above the horizon and the mirror's d
 Radiance: every renderer against sums over the sphere, by roughness and size, for lights and eyes from 10 degrees up;
 the error is of a highlight: its root of the mean square over that of the sums.
 
+White furnace: what a white surface sends under a sphere that fills the sky, by sums, for each BRDF. Rough facets lose
+what they would scatter twice; none may send more than it gets.
+
 The picture: a plain that mirrors a low sphere at a grazing angle, smoother on top; in columns Karis' point, the talk's
 step, the guarded one, smaller when rough, mean brightness, and sums.
 """
@@ -23,6 +26,7 @@ from torch import Tensor
 
 from diffrender.shading.brdf import Geometry
 from diffrender.shading.light_bending import Step, bent, guarded_step, no_step, talk_step
+from diffrender.shading.microfacet import visible_schlick, visible_smith
 from diffrender.shading.sphere_light import EFFECT
 from diffrender.shading.sphere_light_reference import summed
 from diffrender.shading.sphere_surface import SphereLight, SphereView
@@ -32,16 +36,18 @@ from fit import png
 STEPS: Mapping[str, Step] = {"karis": no_step, "talk": talk_step, "guarded": guarded_step}
 SUN = 0.0047
 SETS = ((SUN, "all"), (0.05, "all"), (0.2, "all"), (0.5, "all"), (0.05, "grazing"), (0.2, "grazing"))
-CASES, SMALL_CASES = 100_000, 2_000
-TURNS, SMALL_TURNS = 1440, 180  # of the brute force
+CASES, SMALL_CASES = 50_000, 500
+TURNS, SMALL_TURNS = 720, 90  # of the brute force
 ROUGHNESSES = (0.02, 0.1, 0.2, 0.4, 0.6, 0.8, 1.0)
 SINES = (SUN, 0.05, 0.2, 0.5)
 ELEVATIONS = (10.0, 25.0, 50.0, 80.0)  # of the light [degrees]
 SIDES = (0.0, 0.3, 0.6, 0.9, 1.1, 1.4, 2.0, 3.0)  # of the eye from the mirror's place, in radii and facets' spreads
 LOWEST = 2.0  # elevation of the eye [degrees]
 NODES, SMALL_NODES = (64, 128), (24, 48)
+FURNACE_NODES, SMALL_FURNACE_NODES = (192, 384), (48, 96)
+FURNACE_ROUGHNESSES, FURNACE_ELEVATIONS = (0.0, 0.2, 0.5, 0.8, 1.0), (1.0, 10.0, 30.0, 90.0)
 PICTURE_NODES = (32, 48)
-PANEL, SMALL_PANEL = (300, 150), (24, 12)
+PANEL, SMALL_PANEL = (240, 120), (24, 12)
 GAP = 4
 LOSES = 1e-9  # of (N·H)², below which nobody is worse
 PLAINS = (0.1, 0.25, 0.4, 0.6)  # roughness in each row of the picture
@@ -67,6 +73,17 @@ class Shone:
     roughness: float
     rung: str
     error: float
+
+
+@dataclass(frozen=True)
+class Sent:
+    """Share of light from all around that a white surface sends to an eye."""
+
+    visible: str
+    metallic: float
+    roughness: float
+    elevation: float  # of the eye [degrees]
+    share: float
 
 
 def number(value: float | Sequence[float] | Sequence[Sequence[float]]) -> Tensor:
@@ -185,6 +202,24 @@ def shone(sine: float, roughness: float, nodes: tuple[int, int]) -> list[Shone]:
     return rows
 
 
+def furnace(nodes: tuple[int, int]) -> list[Sent]:
+    """White surfaces, of metal and of painted ground, under a white sky."""
+    sky = SphereLight(number(1.0), torch.ones(3, dtype=torch.float64))
+    up = number([0.0, 0.0, 1.0])
+    elevation, roughness = torch.meshgrid(number(FURNACE_ELEVATIONS), number(FURNACE_ROUGHNESSES), indexing="ij")
+    to_eye = _direction(torch.sin(elevation.deg2rad()), torch.zeros_like(elevation))
+    found = []
+    for name, visible in {"smith": visible_smith, "schlick": visible_schlick}.items():
+        for metallic in (0.0, 1.0):
+            view = replace(
+                _white(-up, to_eye, 0.0), roughness=roughness, metallic=number(metallic).expand_as(roughness)
+            )
+            sent = summed(sky, view, nodes, visible)[..., 0]
+            cases = zip(*(one.flatten().tolist() for one in (roughness, elevation, sent)), strict=True)
+            found += [Sent(name, metallic, *case) for case in cases]
+    return found
+
+
 def sheet(width: int, height: int) -> np.ndarray:
     """The plain by each renderer and by sums, in columns, smoother on top."""
     rows = []
@@ -218,7 +253,10 @@ def main(arguments: Sequence[str] | None = None) -> None:
     lit = [one for sine in SINES for roughness in ROUGHNESSES for one in shone(sine, roughness, nodes)]
     print(records.table(["sine, directions, way", "mean", "largest", "worse than Karis"], _place_rows(places)))
     print(records.table(["sine, roughness", *EFFECT.rungs], _light_rows(lit)))
-    content = {"cases": cases, "places": [vars(one) for one in places], "radiance": [vars(one) for one in lit]}
+    white = furnace(SMALL_FURNACE_NODES if is_small else FURNACE_NODES)
+    print(records.table(["BRDF, metal, roughness", *map(str, FURNACE_ELEVATIONS)], _furnace_rows(white)))
+    tables: Mapping[str, Sequence[Placed | Shone | Sent]] = {"places": places, "radiance": lit, "furnace": white}
+    content = {"cases": cases, **{name: [vars(one) for one in rows] for name, rows in tables.items()}}
     records.write(given.out / "sphere_light.json", content)
     (given.out / "sphere_light.png").write_bytes(png.encoded(sheet(*(SMALL_PANEL if is_small else PANEL))))
 
@@ -234,6 +272,13 @@ def _light_rows(lit: Sequence[Shone]) -> list[list[str]]:
     count = len(EFFECT.rungs)
     groups = [lit[start : start + count] for start in range(0, len(lit), count)]
     return [[f"{g[0].sine:g}, {g[0].roughness:g}", *(f"{one.error:.3f}" for one in g)] for g in groups]
+
+
+def _furnace_rows(white: Sequence[Sent]) -> list[list[str]]:
+    groups: dict[str, list[str]] = {}
+    for one in white:
+        groups.setdefault(f"{one.visible}, {one.metallic:g}, {one.roughness:g}", []).append(f"{one.share:.4f}")
+    return [[name, *shares] for name, shares in groups.items()]
 
 
 if __name__ == "__main__":

@@ -51,8 +51,8 @@ class Sphere:
     """The light over a surface: directions with that of its centre, its sine, the facets' spread, and all cosines."""
 
     geometry: Geometry
-    sine: Float[Tensor, "*batch"]
-    spread: Float[Tensor, "*batch"]  # its square
+    sine: Float[Tensor, "*#batch"]
+    spread: Float[Tensor, "*#batch"]  # its square
     cosines: Cosines
 
 
@@ -97,7 +97,7 @@ def sphere_over(light: SphereLight, view: SphereView) -> Sphere:
     distance = torch.linalg.vector_norm(away, dim=-1)
     geometry = Geometry(view.normal, view.to_eye, away / distance[..., None])
     sine = (light.radius / distance).clamp(max=_WIDEST)
-    return Sphere(geometry, sine, spread_squared(view.roughness).expand_as(sine), brdf.cosines(geometry))
+    return Sphere(geometry, sine, spread_squared(view.roughness), brdf.cosines(geometry))
 
 
 def reduced_sine(over: Sphere) -> Float[Tensor, "*batch"]:

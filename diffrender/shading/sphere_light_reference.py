@@ -38,7 +38,7 @@ class _Frame:
     towards: Float[Tensor, "*batch 3"]
     across: Float[Tensor, "*batch 3"]
     apart: Float[Tensor, "*batch"]
-    sine: Float[Tensor, "*batch"]
+    sine: Float[Tensor, "*#batch"]
 
 
 def summed(
