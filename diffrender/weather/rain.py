@@ -10,7 +10,7 @@ that), and the end of a life whose slot begins anew while the shutter is open.
 
 Gradient: exact in all numbers and inputs, but for what `rain_drops`, `rain_landing` and `rain_tiles` say is decided.
 "hard" decides moreover whether a drop has landed, by the height under the place it is at; "soft" lets it fade over
-`FADING`; "splashes" needs neither, because a streak ends where its drop landed.
+`FADING`; "splashes" needs neither, because a streak ends where its drop landed. By an exposure of 0 there is none.
 
 [1] M. Miyamoto, R. Driancourt, "Rendering Techniques of Final Fantasy XV", SIGGRAPH 2016, slides "Rain" and "Rain:
     Problems".
@@ -84,10 +84,13 @@ def falling(fall: Falls, view: RainView, landed: Float[Tensor, "*batch drops"]) 
     exposure = view.moment.exposure[..., None]
     opened = torch.clamp(fall.age - exposure, min=0.0)
     closed = torch.maximum(torch.minimum(fall.age, landed), opened)
-    first, last = (_passed(fall, view, age, place(fall, age)) for age in (opened, closed))
-    weight = fall.weight * _exposed(closed - opened, exposure, fall.age <= landed)
+    eye, lasted = view.moment.velocity[..., None, :], closed - opened
+    start = place(fall, opened) + eye * (fall.age - opened)[..., None]
+    # Not a difference of places, whose rounding is longer than the streaks of a drop at rest.
+    way = lasted[..., None] * (fall.velocity - _down(fall.gravity * 0.5 * (opened + closed)) - eye)
+    weight = fall.weight * _exposed(lasted, exposure, fall.age <= landed)
     radius = view.drop_radius[..., None].expand_as(weight)
-    return Streaks(first, last - first, radius, weight, view.drop_number)
+    return Streaks(start, way, radius, weight, view.drop_number)
 
 
 def splashing(rain: Rain, fall: Falls, view: RainView, landed: Float[Tensor, "*batch drops"]) -> Streaks:
@@ -99,19 +102,20 @@ def splashing(rain: Rain, fall: Falls, view: RainView, landed: Float[Tensor, "*b
     closed = torch.maximum(torch.minimum(fall.age, here + SPLASH), opened)
     is_there = (fall.age > landed) & (fall.age <= landed + SPLASH)
     level = level_share(rain, view.obstacles, view.moment.eye, ground)
-    weight = fall.weight * level * _exposed(closed - opened, exposure, is_there)
     rim, leap = view.drop_radius[..., None, None, None] * sides(view.drops), leaps(view.drops)
+    eye, lasted = view.moment.velocity[..., None, :], closed - opened
+    since, half = opened - here, 0.5 * (opened + closed) - here
+    moved = ground - _down(0.5 * fall.gravity * since * since) + eye * (fall.age - opened)[..., None]
+    start = moved[..., None, :] + rim + leap * since[..., None, None]
+    way = lasted[..., None, None] * (leap - (_down(fall.gravity * half) + eye)[..., None, :])
+    weight = fall.weight * level * _exposed(lasted, exposure, is_there)
+    radius = view.drop_radius[..., None] * shrunk(half)
+    radius, weight = (one[..., None].expand(start.shape[:-1]).flatten(-2) for one in (radius, weight))
+    return Streaks(start.flatten(-3, -2), way.flatten(-3, -2), radius, weight, view.drop_number)
 
-    def thrown(age: Tensor) -> Tensor:
-        since = (age - here)[..., None]
-        down = torch.stack([*[torch.zeros_like(since)] * 2, 0.5 * fall.gravity * since * since], -1)
-        there = ground[..., None, :] + rim + leap * since[..., None] - down
-        return _passed(fall, view, age, there.movedim(-2, 0)).movedim(0, -2)
 
-    first, last = thrown(opened), thrown(closed)
-    radius = view.drop_radius[..., None] * shrunk(0.5 * (opened + closed) - here)
-    radius, weight = (one[..., None].expand(first.shape[:-1]).flatten(-2) for one in (radius, weight))
-    return Streaks(first.flatten(-3, -2), (last - first).flatten(-3, -2), radius, weight, view.drop_number)
+def _down(size: Float[Tensor, "*batch"]) -> Float[Tensor, "*batch 3"]:
+    return torch.stack([torch.zeros_like(size), torch.zeros_like(size), size], -1)
 
 
 def _exposed(lasted: Tensor, exposure: Tensor, is_there: Tensor) -> Tensor:
@@ -119,11 +123,6 @@ def _exposed(lasted: Tensor, exposure: Tensor, is_there: Tensor) -> Tensor:
     none = exposure <= 0.0
     share = lasted / torch.where(none, torch.ones_like(exposure), exposure)
     return torch.where(none, is_there.to(share), share)
-
-
-def _passed(fall: Falls, view: RainView, age: Tensor, there: Tensor) -> Tensor:
-    """Places of an age relative to where the eye was then."""
-    return there + view.moment.velocity[..., None, :] * (fall.age - age)[..., None]
 
 
 def _lit(view: RainView, passed: Float[Tensor, "*batch height width"]) -> Float[Tensor, "*batch height width 3"]:

@@ -160,7 +160,9 @@ def falls(rain: Rain, drops: Drops, moment: Moment) -> Falls:
     began, lives = drops.chance[:, 0], when / rain.life_span + drops.chance[:, 0]
     life = lives.detach().floor()
     age = (when + (began - life) * rain.life_span).clamp(min=0.0)
-    dice = drops.chance[:, 1:] + life[..., None] * drops.chance.new_tensor(_MOVES)
+    # In double precision, for after many lives float32 would hold the sum, and so the place, to a millimetre only.
+    moves = torch.tensor(_MOVES, dtype=torch.float64, device=life.device)
+    dice = drops.chance[:, 1:] + (life[..., None].double() * moves % 1.0).to(drops.chance)
     x, y, faster, side, aside = (dice - dice.detach().floor()).unbind(-1)
 
     speed = rain.emit_speed + rain.emit_speedrandom * faster

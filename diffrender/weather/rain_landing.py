@@ -28,6 +28,7 @@ from diffrender.weather.rain_drops import Falls, Rain, place
 LEVELS = 17
 HALVINGS = 6
 TANGENTS = 2
+NEARBY = 1e-3  # way to either side over which the slope of the map is found [s]
 NEVER = 1e4  # age of landing of what does not land, far beyond any life [s]
 
 
@@ -104,16 +105,17 @@ def _on_heights(rain: Rain, fall: Falls, obstacles: Obstacles, eye: Tensor) -> T
 
     high, low = _bracket(above, top, bottom, fall.age)
     first, last, over, below = _age_at(still, high), _age_at(still, low), above(high), above(low)
-    # One step of Newton's method from the secant's end: its gradient is that of the age, on level ground too.
-    steep = (over > below) & (last > first)
-    share = torch.where(steep, over, 0.0) / torch.where(steep, over - below, 1.0)
+    crosses = over > below
+    share = torch.where(crosses, over, 0.0) / torch.where(crosses, over - below, 1.0)
     age = first + (last - first) * share.clamp(0.0, 1.0)
-    secant = torch.where(steep, over - below, 0.0) / torch.where(steep, last - first, 1.0)
-    sinks = torch.where(steep, secant, still.gravity * age - still.velocity[..., 2])
+    # One step of Newton's method from the secant's end: its gradient is that of the age, on level ground too.
     there = place(fall, age)
     left = there[..., 2] - height_under(rain, obstacles, eye, there)
-    hangs = sinks <= 0.0
-    return torch.relu(age + torch.where(hangs, 0.0, left) / torch.where(hangs, 1.0, sinks))
+    aside = still.velocity * still.velocity.new_tensor([NEARBY, NEARBY, 0.0])
+    before, after = (height_under(rain, obstacles, eye, there.detach() + side * aside).detach() for side in (-1.0, 1.0))
+    sinks = still.gravity * age - still.velocity[..., 2] + (after - before) / (2.0 * NEARBY)
+    sinking = sinks > 0.0
+    return torch.relu(age + torch.where(sinking, left, 0.0) / torch.where(sinking, sinks, 1.0))
 
 
 def _bracket(above: Callable[[Tensor], Tensor], top: Tensor, bottom: Tensor, like: Tensor) -> tuple[Tensor, Tensor]:

@@ -83,10 +83,9 @@ def seen(
     is_ahead = depth > 0.0
     depth = torch.where(is_ahead, depth, torch.ones_like(depth))
     scale = 1.0 / (depth * sigma)
-    length = side * scale
-    middle = inner / side * scale + passed * length
+    first = inner / side * scale
     half = half * scale * is_ahead.to(scale)
-    return depth, across / side * scale, middle - passed * length, middle + (1.0 - passed) * length, half
+    return depth, across / side * scale, first, first + side * scale, half
 
 
 def hidden_by(features: Tensor, direction: Tensor, distance: Tensor, sigma: Tensor) -> Float[Tensor, "*batch rays s"]:
