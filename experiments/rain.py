@@ -193,7 +193,7 @@ def draw(path: Path, panels: Sequence[Panel], width: int, height: int) -> None:
         axes.imshow(shown.numpy(), interpolation="nearest")
         axes.set_title(panel.title, fontsize="small")
         axes.set_axis_off()
-    figure.savefig(path, dpi=110)
+    figure.savefig(path, dpi=92)
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
@@ -203,7 +203,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--out", type=Path, default=records.RESULTS, help="folder of the results")
     given = parser.parse_args(arguments)
     full = given.size == "full"
-    size = (416, 234) if full else (16, 9)
+    size = (384, 216) if full else (16, 9)
     content = {
         "alive": counted(),
         "sheltered": [sheltered(wind) for wind in (0.0, 12.0)],
