@@ -137,7 +137,7 @@ def living(rain: Rain, drops: Drops) -> Float[Tensor, " drops"]:
 
 
 def shifted(
-    emitter: Float[Tensor, "*batch 3"], move: Float[Tensor, "*batch 3"], farthest: Float[Tensor, ""]
+    emitter: Float[Tensor, "*#batch 3"], move: Float[Tensor, "*batch 3"], farthest: Float[Tensor, ""]
 ) -> Float[Tensor, "*batch 3"]:
     """What the disc stands over, after the eye has moved [m]: itself, or moved along where the eye warped.
 
