@@ -3,6 +3,7 @@
 from diffrender.antialiasing import checkerboard, edge_taa, fxaa
 from diffrender.atmosphere import aerial_perspective, celestial, far_fog, froxel_fog, height_fog, sky
 from diffrender.effect import Effect
+from diffrender.geometry import fractals
 from diffrender.shading import local_lights, sphere_light, wetness
 from diffrender.weather import rain
 
@@ -14,6 +15,7 @@ EFFECTS: dict[str, Effect] = {
     "far fog": far_fog.EFFECT,
     "froxel fog": froxel_fog.EFFECT,
     "wetness": wetness.EFFECT,
+    "fractal": fractals.EFFECT,
     "sphere light": sphere_light.EFFECT,
     "local lights": local_lights.EFFECT,
     "rain": rain.EFFECT,

@@ -25,6 +25,7 @@ from diffrender.atmosphere.height_fog import HeightFog
 from diffrender.atmosphere.sky import Sky, SkyView
 from diffrender.catalogue import EFFECTS
 from diffrender.effect import Render
+from diffrender.geometry.fractal_shapes import Fractal
 from diffrender.parameters import Specification, names, parameter, record, specifications
 from diffrender.rays import Rays, from_angles
 from diffrender.shading.lamps import LocalLights
@@ -57,6 +58,7 @@ class Scene:
     rain: Rain | None = None
     local_lights: LocalLights | None = None
     sphere_light: SphereLight | None = None
+    fractal: Fractal | None = None
     antialiasing: AntiAliasing | None = None
 
 
