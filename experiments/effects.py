@@ -24,6 +24,9 @@ from diffrender.atmosphere.froxel_view import FroxelView
 from diffrender.atmosphere.scattering import SUN_RADIUS
 from diffrender.atmosphere.sky import SkyView
 from diffrender.catalogue import EFFECTS
+from diffrender.geometry import fractals
+from diffrender.geometry.fractal_shapes import Mandelbulb, Menger, Sierpinski
+from diffrender.geometry.fractals import FractalView
 from diffrender.parameters import defaults, names, specifications, to_cube
 from diffrender.rays import Camera, Equirectangular, Perspective, Rays, angles, from_angles, pixel_centres
 from diffrender.shading.lamps import LitView
@@ -144,6 +147,14 @@ def _sphere_picture(width: int, height: int) -> SphereView:
     return lamp_plain.plain(width, height, roughness=0.3)
 
 
+def _bulb_picture(width: int, height: int) -> FractalView:
+    """A Mandelbulb that fills most of the picture."""
+    examples = fractals.example_inputs(torch.float64)
+    direction = directions(Perspective(width, height, field_of_view=0.9))
+    rays = Rays(direction.new_tensor((-3.0, 0.0, 0.0)), direction, direction.new_tensor(math.inf))
+    return replace(examples, rays=rays, background=torch.full_like(direction, 0.2), shape=Mandelbulb(iterations=3))
+
+
 # Effect -> inputs of a picture so wide and high, in float64.
 PICTURES: Mapping[str, Callable[[int, int], Any]] = {
     "sky": _sky_picture,
@@ -152,6 +163,7 @@ PICTURES: Mapping[str, Callable[[int, int], Any]] = {
     "wetness": _wet_picture,
     "local lights": _lit_picture,
     "sphere light": _sphere_picture,
+    "fractal": _bulb_picture,
 }
 
 
@@ -264,6 +276,12 @@ def _hard_spheres() -> dict[str, SphereView]:
     return found | {"grazing eye": replace(seen, to_eye=level)}
 
 
+def _hard_fractals() -> dict[str, FractalView]:
+    """The sponge and the tetrahedron from where the examples see a Mandelbulb."""
+    examples = fractals.example_inputs(torch.float64)
+    return {"sponge": replace(examples, shape=Menger(3)), "tetrahedron": replace(examples, shape=Sierpinski(4))}
+
+
 # Effect -> its hard inputs by name, in float64.
 HARD: Mapping[str, Callable[[], Mapping[str, Any]]] = {
     "sky": _hard_skies,
@@ -273,6 +291,7 @@ HARD: Mapping[str, Callable[[], Mapping[str, Any]]] = {
     "local lights": _hard_lamps,
     "rain": lambda: {name: in_dtype(view, torch.float64) for name, view in rain_street.hard_views().items()},
     "sphere light": _hard_spheres,
+    "fractal": _hard_fractals,
 }
 
 

@@ -7,8 +7,8 @@ and Douady's estimate for complex numbers, which in three dimensions nobody has 
 where it fails.
 
 Gradient: of the Mandelbulb exact, but for its axis, where the longitude has none, and, of powers that are no whole
-numbers, but for the half plane y = 0 < -x, where the shape is torn. Of the other two, exact inside the pieces in which
-their distance is linear, or round an edge; power and phase do nothing there.
+numbers, where an orbit crosses the half plane y = 0 < -x, which tears the shape. Of the other two, exact inside the
+pieces in which their distance is linear, or round an edge; power and phase do nothing there.
 
 [1] D. White, P. Nylander, "The unravelling of the real 3D Mandelbulb", skytopia.com, 2009.
 [2] I. Quilez, "Menger fractal" and "Mandelbulb", iquilezles.org, 2009 and 2011.
@@ -28,7 +28,7 @@ from diffrender.parameters import parameter, record
 ESCAPED = 2.0  # |z| beyond which orbits of powers from 2 up never come back
 FARTHEST = 20.0  # log of |z|^p from which on an orbit is held: its fourth power fits float32, more steps change nothing
 _LEAST = 1e-18  # squared |z| that stands for the origin's, whose logarithm is endless
-_BESIDE = 1e-12  # x of points on the axis
+_BESIDE = 1e-6  # x of points on the axis: nearer, float32's sine of pi would have a slope
 _CORNER = math.sqrt(3.0)
 
 
@@ -47,10 +47,10 @@ class Fractal:
         1.0, bounds=(0.01, 100.0), unit="m", scale="log", about="half the edge of its cube: turned up, larger"
     )
     colour: Float[Tensor, "3"] = parameter(
-        (0.85, 0.62, 0.38), bounds=(0.0, 1.0), unit="1", about="share of light that its outer parts send on"
+        (0.88, 0.70, 0.46), bounds=(0.0, 1.0), unit="1", about="share of light that its outer parts send on"
     )
     accent: Float[Tensor, "3"] = parameter(
-        (0.45, 0.12, 0.08), bounds=(0.0, 1.0), unit="1", about="the same of parts whose orbits come near the origin"
+        (0.55, 0.10, 0.05), bounds=(0.0, 1.0), unit="1", about="the same of parts whose orbits come near the origin"
     )
     light_spread: Float[Tensor, ""] = parameter(
         0.1, bounds=(0.01, 1.0), unit="1", scale="log",
@@ -60,7 +60,7 @@ class Fractal:
 
 @record
 class Orbit:
-    """What becomes of points of a fractal of size 1: its distance, and how near 0 the orbit came, from 0 to 1."""
+    """What becomes of points of a fractal of size 1: its distance, and how far from 0 the orbit stayed, from 0 to 1."""
 
     distance: Float[Tensor, "*batch"]
     trap: Float[Tensor, "*batch"]
@@ -74,7 +74,7 @@ class Mandelbulb:
     radius: ClassVar = ESCAPED  # of a ball round the origin that holds it
 
     def orbit(self, fractal: Fractal, position: Float[Tensor, "*batch 3"]) -> Orbit:
-        """Distance r ln(r / 2) / (2 r'), and the least radius; r' is the growth of small differences, if all align."""
+        """Distance r ln(r / 2) / (2 r'), and the cube of the least r; r' is how differences grow, if all align."""
         z, log_power, far = position, torch.log(fractal.power), FARTHEST / fractal.power
         log_radius = least = _log_length(z)
         log_growth = torch.zeros_like(log_radius)
@@ -87,7 +87,7 @@ class Mandelbulb:
             log_radius = _log_length(z)
             least = torch.minimum(least, log_radius)
         outside = log_radius - math.log(ESCAPED)
-        return Orbit(0.5 * outside * torch.exp(log_radius - log_growth), torch.exp(least.clamp(max=0.0)))
+        return Orbit(0.5 * outside * torch.exp(log_radius - log_growth), torch.exp(3.0 * least.clamp(max=0.0)))
 
 
 def _log_length(z: Tensor) -> Tensor:
@@ -115,15 +115,17 @@ class Menger:
 
     def orbit(self, fractal: Fractal, position: Float[Tensor, "*batch 3"]) -> Orbit:  # noqa: ARG002 - of all shapes
         """Distance: of the cube or, where that is more, of the crosses cut out of it."""
-        distance, scale = _box(position), 1.0
+        distance, scale, rounding = _box(position), 1.0, 4.0 * torch.finfo(position.dtype).eps
         for _ in range(self.iterations):
             cell = torch.remainder(position * scale, 2.0) - 1.0  # 0 at the cell's corners
             scale *= 3.0
             arm = (1.0 - 3.0 * cell.abs()).abs()
             x, y, z = arm.unbind(-1)
             cross = torch.minimum(torch.maximum(x, y), torch.minimum(torch.maximum(y, z), torch.maximum(z, x)))
-            distance = torch.maximum(distance, (cross - 1.0) / scale)
-        return Orbit(distance, position.abs().amax(-1).clamp(max=1.0))
+            # On a face both are 0 up to rounding: the coarser one has the face's slope, the cut half of it or none.
+            cut = (cross - 1.0) / scale
+            distance = torch.where(cut > distance + rounding, cut, distance)
+        return Orbit(distance, (1.5 * position.abs().amax(-1) - 0.5).clamp(0.0, 1.0))
 
 
 def _box(position: Tensor) -> Tensor:

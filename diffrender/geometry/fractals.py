@@ -33,7 +33,8 @@ from diffrender.numerics import safe_sqrt
 from diffrender.parameters import record
 from diffrender.rays import Rays, from_angles
 
-COARSE_STEPS, STEPS, SHADOW_STEPS = 20, 40, 28
+COARSE_STEPS, STEPS, SHADOW_STEPS = 20, 24, 16
+PER_DEPTH = 9  # steps more for each iteration: rays pass by more detail
 REACH = 0.3  # up to which surroundings dim the sky [size]
 LIFTED = 0.005  # how far from the surface rays to the light begin [size]
 
@@ -82,7 +83,7 @@ def found(fractal: Fractal, rays: Rays, shape: Shape, steps: int) -> Hit:
 
 def render(fractal: Fractal, view: FractalView) -> Float[Tensor, "*batch 3"]:
     """Radiance that arrives along rays [W/(m² sr)]: of the fractal with soft shadows, and of the background."""
-    hit = found(fractal, view.rays, view.shape, STEPS)
+    hit = found(fractal, view.rays, view.shape, STEPS + PER_DEPTH * view.shape.iterations)
     whole = _Sized(fractal, view.shape)
     normal = gradient(whole.distance, hit.position)
     lit = torch.relu((_unit(normal) * view.to_light).sum(-1)) * shadow(fractal, view, hit.position)
@@ -98,9 +99,8 @@ def shadow(fractal: Fractal, view: FractalView, position: Float[Tensor, "*batch 
     fixed = Rays(position.detach(), towards.direction.detach(), towards.length)
     span = within_ball(fixed, still.radius)
     begin = (LIFTED * still.fractal.size).expand_as(span.far)
-    passing = nearest_pass(
-        still.distance, fixed, replace(span, near=begin, far=torch.maximum(span.far, begin)), SHADOW_STEPS
-    )
+    lit = replace(span, near=begin, far=torch.maximum(span.far, begin))
+    passing = nearest_pass(still.distance, fixed, lit, SHADOW_STEPS + PER_DEPTH * view.shape.iterations)
     return soft_shadow(whole.distance, towards, passing, fractal.light_spread)
 
 

@@ -26,10 +26,10 @@ from diffrender.rays import Rays
 Distance = Callable[[Tensor], Tensor]
 
 RELAXED = 1.5  # of a safe step
-_POLISHES = 3  # Newton's steps at the end: from 1e-2 to all digits
+_POLISHES = 6  # Newton's steps at the end: from 1e-2 to all digits
 _SECANTS = 8  # of the piece of a ray where light passes nearest to an occluder: to 1e-9 of it
 _STEEPEST = 1e-3  # least fall of the distance along a ray that Newton's steps divide by
-_ARRIVED = 1e-4  # distance of a hit, in the radius that bounds the shape
+_ARRIVED = 2.0 / 3.0  # of a number's digits must be 0 in the distance of a hit, in the radius that bounds the shape
 
 
 @record
@@ -84,7 +84,7 @@ def arrived(
             step = still(place) / _fall(still, place, rays.direction)
             # A step that is longer than what the march leaves is that of a ray that passes by.
             length = length + step.clamp(-0.1 * radius, 0.1 * radius)
-        is_near = still(_at(rays, length)).abs() <= _ARRIVED * radius
+        is_near = still(_at(rays, length)).abs() <= torch.finfo(length.dtype).eps ** _ARRIVED * radius
         begins_outside = still(_at(rays, span.near)) > 0.0
         return length.detach(), is_near & begins_outside & (length < span.far) & (length > span.near)
 
