@@ -25,7 +25,7 @@ from diffrender.atmosphere.scattering import SUN_RADIUS
 from diffrender.atmosphere.sky import SkyView
 from diffrender.catalogue import EFFECTS
 from diffrender.geometry import fractals
-from diffrender.geometry.fractal_shapes import Mandelbulb, Menger, Sierpinski
+from diffrender.geometry.fractal_shapes import Mandelbulb, Menger, Shape, Sierpinski
 from diffrender.geometry.fractals import FractalView
 from diffrender.parameters import defaults, names, specifications, to_cube
 from diffrender.rays import Camera, Equirectangular, Perspective, Rays, angles, from_angles, pixel_centres
@@ -277,9 +277,10 @@ def _hard_spheres() -> dict[str, SphereView]:
 
 
 def _hard_fractals() -> dict[str, FractalView]:
-    """The sponge and the tetrahedron from where the examples see a Mandelbulb."""
+    """Other shapes from where the examples see a Mandelbulb."""
     examples = fractals.example_inputs(torch.float64)
-    return {"sponge": replace(examples, shape=Menger(3)), "tetrahedron": replace(examples, shape=Sierpinski(4))}
+    shapes: dict[str, Shape] = {"deeper": Mandelbulb(3), "sponge": Menger(3), "tetrahedron": Sierpinski(4)}
+    return {name: replace(examples, shape=shape) for name, shape in shapes.items()}
 
 
 # Effect -> its hard inputs by name, in float64.

@@ -36,7 +36,7 @@ COLUMNS = 4
 RAYS = 2**14  # at once, so that they stay in the processor's cache
 SUN, EYE = (35.0, 265.0), (24.0, 215.0)  # elevation and azimuth [degrees]
 STEP, SMOOTH = 1e-6, 1e-9  # of differences that derivatives are set beside, and how far they may bend
-TRACED = 64  # steps of rays whose derivatives are judged
+TRACED = 48  # steps of rays whose derivatives are judged
 SHARES = (1.0, 0.5, 0.25)
 CELLS = (24, 48)  # of measured densities, by height along x and round it
 
@@ -52,7 +52,7 @@ class Size:
     directions: int = 10_000_000
 
 
-SMALL = Size(panel=12, samples=1, points=300, rays=8, directions=20_000)
+SMALL = Size(panel=6, samples=1, points=300, rays=6, directions=20_000)
 
 
 @dataclass(frozen=True)

@@ -89,12 +89,12 @@ def test_the_command_writes_and_tells_the_account(run, tmp_path):
     assert three_data(tmp_path / "out")["to_sun"][2] == pytest.approx(math.sin(math.radians(1.0)))
     undrawn = {
         "VOLLIGHT_FARFOG_ZFAR": 9e3, "VOLLIGHT_NOISE_SIZE": 30.0, "WETNESS_AMOUNT": 0.5, "RAIN_PARTICLE_EMIT_RATE": 3e3,
-        "LOCAL_LIGHTS_INTENSITY_SCALE": 2.0, "SPHERE_LIGHT_RADIUS": 0.2,
+        "LOCAL_LIGHTS_INTENSITY_SCALE": 2.0, "SPHERE_LIGHT_RADIUS": 0.2, "FRACTAL_POWER": 5.0,
     }  # fmt: skip
     weather_file.write(file, weather_file.of_photo(FOGGY | undrawn, 7.0, {}))
     assert run("export", file, "--to", "threejs", "--out", tmp_path / "out", "--quiet") == (0, "", "")
     told = (tmp_path / "out" / "export.txt").read_text()
-    for prefix in ("VOLLIGHT_FARFOG", "VOLLIGHT", "WETNESS", "RAIN", "LOCAL_LIGHTS", "SPHERE_LIGHT"):
+    for prefix in ("VOLLIGHT_FARFOG", "VOLLIGHT", "WETNESS", "RAIN", "LOCAL_LIGHTS", "SPHERE_LIGHT", "FRACTAL"):
         assert f"  {prefix}_*, which no export draws\n" in told
 
 

@@ -17,7 +17,8 @@ from torch import Tensor
 
 from diffrender.geometry.fractal_shapes import Fractal, Mandelbulb, Menger, Shape, Sierpinski
 
-STEPS, HALVINGS = 4000, 60
+STEPS, HALVINGS = 4000, 60  # along a ray, and then of the step that enters
+SHADOW_STEPS = 250
 NEAR = 1e-6  # of differences that give normals, in sizes
 
 
@@ -111,6 +112,6 @@ def least_share(
 ) -> Float[Tensor, "*batch"]:
     """Least distance in proportion to the way, along rays between two lengths, in steps of equal proportion."""
     near, far = reach
-    lengths = near * (far / near) ** torch.linspace(0.0, 1.0, STEPS + 1).to(origin)
+    lengths = near * (far / near) ** torch.linspace(0.0, 1.0, SHADOW_STEPS + 1).to(origin)
     places = origin[..., None, :] + lengths[:, None] * direction[..., None, :]
     return (distance(places) / lengths).amin(-1)
