@@ -6,7 +6,6 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-COEFFICIENTS = (1, 4, 9)  # of order 0, 1 and 2
 BANDS = (0, 1, 1, 1, 2, 2, 2, 2, 2)  # to which each belongs
 
 

@@ -7,7 +7,7 @@ from jaxtyping import Float64
 from fit.minimum import Point
 from fit.sampled_photo import MARGIN, TILE
 from fit.sharpening_objective import SharpeningObjective
-from fit.uncertainty import NEAR_BOUND, WIDEST, Uncertainty, reasons
+from fit.uncertainty import NEAR_BOUND, Uncertainty, of_covariance, reasons, unexplained
 
 BLOCK = 8  # side of a part [pixels]: errors of anti-aliasing are alike over few
 
@@ -23,18 +23,8 @@ def uncertainty(objective: SharpeningObjective, point: Point) -> Uncertainty:
     """
     residuals, slopes = (one.numpy() for one in objective.jacobian(torch.from_numpy(point)))
     why = reasons(slopes, point, NEAR_BOUND)
-    error, correlation = np.full(point.size, np.nan), np.eye(point.size)
-    free = [index for index, reason in enumerate(why) if not reason]
-    if free:
-        covariance = _between_blocks(residuals, slopes[:, free])
-        deviation = np.sqrt(covariance.diagonal())
-        for index, spread in zip(free, deviation, strict=True):
-            if spread > WIDEST:
-                why[index] = "not determined by the photo"
-        error[free] = np.where(deviation > WIDEST, np.nan, deviation)
-        scale = np.where(deviation > 0.0, deviation, 1.0)
-        correlation[np.ix_(free, free)] = covariance / np.outer(scale, scale)
-    return Uncertainty(error, correlation, tuple(why))
+    free = unexplained(why)
+    return of_covariance(why, _between_blocks(residuals, slopes[:, free]) if free else np.zeros((0, 0)))
 
 
 def _between_blocks(

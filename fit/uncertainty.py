@@ -119,6 +119,23 @@ def unexplained(why: list[str]) -> list[int]:
     return [index for index, reason in enumerate(why) if not reason]
 
 
+def of_covariance(why: list[str], covariance: Float64[np.ndarray, "f f"]) -> Uncertainty:
+    """Uncertainty of coordinates whose `unexplained` ones have a covariance in the unit cube.
+
+    Those with an error beyond WIDEST are not determined either.
+    """
+    free, why = unexplained(why), list(why)
+    error, correlation = np.full(len(why), np.nan), np.eye(len(why))
+    deviation = np.sqrt(covariance.diagonal())
+    for index, spread in zip(free, deviation, strict=True):
+        if spread > WIDEST:
+            why[index] = "not determined by the photo"
+    error[free] = np.where(deviation > WIDEST, np.nan, deviation)
+    scale = np.where(deviation > 0.0, deviation, 1.0)
+    correlation[np.ix_(free, free)] = covariance / np.outer(scale, scale)
+    return Uncertainty(error, correlation, tuple(why))
+
+
 def _collinear(slopes: Float64[np.ndarray, "m n"], kept: list[int]) -> int | None:
     """Coordinate among some that does most what others do already; None where all are told apart."""
     if not kept:

@@ -19,7 +19,7 @@ from fit.fog_objective import PRIOR_WEIGHT, robust
 from fit.gauss_newton import half_square
 from fit.minimum import Point
 from fit.search_space import SearchSpace
-from fit.uncertainty import NEAR_BOUND, WIDEST, Uncertainty, reasons
+from fit.uncertainty import NEAR_BOUND, Uncertainty, of_covariance, reasons, unexplained
 
 FLOOR = 1e-2  # of the median radiance, which differences are relative to at least
 STRIPS = 6  # of a picture, each of as many parts: neighbouring pixels err alike, parts are taken for independent
@@ -152,22 +152,14 @@ def uncertainty(objective: WetObjective, point: Point) -> Uncertainty:
     place = torch.from_numpy(point)
     _, slopes = objective.jacobian(place)
     why = reasons(slopes[: objective.wet.wet.numel()].numpy(), point, NEAR_BOUND)
-    error, correlation = np.full(point.size, np.nan), np.eye(point.size)
-    free = [index for index, reason in enumerate(why) if not reason]
-    if free:
-        moved = np.stack(
-            [_moved(objective.without(part), place, free) for part in sorted(set(objective.wet.part.tolist()))]
-        )
-        away = moved - moved.mean(0)
-        covariance = (len(moved) - 1) / len(moved) * away.T @ away
-        deviation = np.sqrt(covariance.diagonal())
-        for index, spread in zip(free, deviation, strict=True):
-            if spread > WIDEST:
-                why[index] = "not determined by the photo"
-        error[free] = np.where(deviation > WIDEST, np.nan, deviation)
-        scale = np.where(deviation > 0.0, deviation, 1.0)
-        correlation[np.ix_(free, free)] = covariance / np.outer(scale, scale)
-    return Uncertainty(error, correlation, tuple(why))
+    free = unexplained(why)
+    if not free:
+        return of_covariance(why, np.zeros((0, 0)))
+    moved = np.stack(
+        [_moved(objective.without(part), place, free) for part in sorted(set(objective.wet.part.tolist()))]
+    )
+    away = moved - moved.mean(0)
+    return of_covariance(why, (len(moved) - 1) / len(moved) * away.T @ away)
 
 
 def _moved(objective: WetObjective, place: Tensor, free: list[int]) -> Float[np.ndarray, " f"]:

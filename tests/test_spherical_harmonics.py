@@ -3,7 +3,7 @@ import math
 import torch
 
 from diffrender.rays import from_angles
-from diffrender.spherical_harmonics import BANDS, COEFFICIENTS, basis
+from diffrender.spherical_harmonics import BANDS, basis
 
 
 def test_the_nine_are_orthonormal_over_the_sphere():
@@ -20,7 +20,7 @@ def test_the_nine_are_orthonormal_over_the_sphere():
 
 
 def test_every_coefficient_has_its_band():
-    assert [BANDS[:count].count(band) for band, count in enumerate(COEFFICIENTS)] == [1, 3, 5]
+    assert [BANDS[:count].count(band) for band, count in enumerate((1, 4, 9))] == [1, 3, 5]
     turned = basis(-from_angles(torch.tensor(0.3), torch.tensor(1.0)))
     signs = torch.tensor([(-1.0) ** band for band in BANDS])
     torch.testing.assert_close(turned, signs * basis(from_angles(torch.tensor(0.3), torch.tensor(1.0))))
