@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import dataclass, replace
+from functools import cache
 
 import torch
 from jaxtyping import Float
@@ -17,7 +18,7 @@ from diffrender.weather.rain_view import RainView
 EYE = (0.0, 0.0, 1.7)
 FIELD = math.radians(62.0)
 PITCH = 0.06
-MAP_SIZE = 768
+CENTRE, MAP_SIZE = (20.0, 0.0), 768  # of the map from above [m], and cells on a side of it
 ZENITH, HORIZON = (0.50, 0.56, 0.64), (0.20, 0.23, 0.27)  # radiance of an overcast sky
 
 Place = tuple[float, float, float]
@@ -71,7 +72,6 @@ def surface(place: Float[Tensor, "*batch 2"]) -> Float[Tensor, "*batch"]:
 
 def obstacles(radius: Tensor, size: int = MAP_SIZE) -> Obstacles:
     """What rain meets in the street."""
-    centre = torch.tensor([20.0, 0.0])
     spheres = [
         (person.x, person.y, person.radius + step * (person.height - 2.0 * person.radius) / (_SPHERES - 1))
         for person in PEOPLE
@@ -79,8 +79,12 @@ def obstacles(radius: Tensor, size: int = MAP_SIZE) -> Obstacles:
     ]
     sizes = torch.tensor([person.radius for person in PEOPLE for _ in range(_SPHERES)])
     bodies = torch.tensor(spheres)
-    heights = heights_from_above(surface, centre, radius, size)
-    return Obstacles(heights, centre, bodies, torch.zeros_like(bodies), sizes)
+    return Obstacles(_heights(float(radius), size), torch.tensor(CENTRE), bodies, torch.zeros_like(bodies), sizes)
+
+
+@cache
+def _heights(radius: float, size: int) -> Tensor:
+    return heights_from_above(surface, torch.tensor(CENTRE), torch.tensor(radius), size)
 
 
 @dataclass(frozen=True)

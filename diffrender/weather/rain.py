@@ -144,7 +144,7 @@ EFFECT = Effect(
         "splashes": Rung(render),
     },
     reference=instants,
-    # Half of it the reference's own, of 24 instants; the rest of a streak that is seen nearly along its way, from very
+    # In part the reference's own, of 16 instants; the rest of a streak that is seen nearly along its way, from very
     # uneven distances. Up to 0.08 where a drop and the droplets of its own young crown hide each other.
     tolerance=0.03,
     largest_change=largest_change,

@@ -99,8 +99,9 @@ def _on_heights(rain: Rain, fall: Falls, obstacles: Obstacles, eye: Tensor) -> T
     top, bottom = (end - eye.detach()[..., None, 2] for end in (known.amax(), known.amin()))
 
     def above(level: Tensor) -> Tensor:
-        """Height over the map where paths pass a level."""
-        under = height_under(rain, obstacles, eye, place(still, _age_at(still, level)))
+        """Height over the map where paths pass a level; there may be an axis of levels before all others."""
+        there = place(still, _age_at(still, level))
+        under = height_under(rain, obstacles, eye.expand(*level.shape[:-1], 3), there)
         return (torch.minimum(level, still.start[..., 2]) - under).detach()
 
     high, low = _bracket(above, top, bottom, fall.age)
@@ -120,11 +121,11 @@ def _on_heights(rain: Rain, fall: Falls, obstacles: Obstacles, eye: Tensor) -> T
 
 def _bracket(above: Callable[[Tensor], Tensor], top: Tensor, bottom: Tensor, like: Tensor) -> tuple[Tensor, Tensor]:
     """Levels between which a path first comes below the map: one where it is over it, one where it is not."""
-    shares = [place / (LEVELS - 1) for place in range(LEVELS)]
-    levels = torch.stack([(top + share * (bottom - top)).expand_as(like) for share in shares], -1)
-    over = torch.stack([above(level) for level in levels.unbind(-1)], -1)
-    passed = (over > 0.0).long().cumprod(-1).sum(-1, keepdim=True)
-    high, low = (levels.gather(-1, index.clamp(0, LEVELS - 1))[..., 0] for index in (passed - 1, passed))
+    shares = torch.arange(LEVELS, device=like.device).to(like) / (LEVELS - 1)
+    shares = shares.reshape(LEVELS, *[1] * like.ndim)
+    levels = (top + shares * (bottom - top)).expand(LEVELS, *like.shape)
+    passed = (above(levels) > 0.0).long().cumprod(0).sum(0, keepdim=True)
+    high, low = (levels.gather(0, index.clamp(0, LEVELS - 1))[0] for index in (passed - 1, passed))
     for _ in range(HALVINGS):
         middle = 0.5 * (high + low)
         is_over = above(middle) > 0.0

@@ -19,7 +19,7 @@ from diffrender.weather.rain_tiles import Screen
 from diffrender.weather.rain_view import RainView
 
 _STEP = 2.5e-4  # in which paths are looked at [s]
-_INSTANTS = 24
+_INSTANTS = 16
 _PLACES = 12  # across a pixel's filter, and as many down
 _MOVES = (0.7548777, 0.5698403)  # of the places from instant to instant, which fill the filter evenly
 _REACH = 3.5  # of the filter [standard deviations]
