@@ -13,9 +13,9 @@ from torch import Tensor
 
 from diffrender.rays import Camera, Perspective, from_angles, pixel_centres
 from diffrender.shading import brdf, ripples, trickles, wetness
-from diffrender.shading.brdf import EvenSky
 from diffrender.shading.drying import DryBoxes
 from diffrender.shading.wet_surface import Wetness, WetView
+from diffrender.surfaces import EvenSky
 
 COBBLE = (0.2, 0.14)  # along and across a row [m]
 ROUND = 0.018  # height of a cobble over its joints [m]

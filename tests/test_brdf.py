@@ -5,7 +5,8 @@ import torch
 
 from diffrender.rays import from_angles
 from diffrender.shading import brdf, microfacet
-from diffrender.shading.brdf import EvenSky, Geometry, material
+from diffrender.shading.brdf import Geometry, material
+from diffrender.surfaces import EvenSky
 
 FLOAT = torch.float64
 UP = (0.0, 0.0, 1.0)

@@ -33,6 +33,7 @@ from diffrender.shading.microfacet import (
     spread_squared,
     visible_smith,
 )
+from diffrender.surfaces import EvenSky, Lights, Surface
 
 DIELECTRIC = 0.04  # share that what is no metal reflects at normal incidence; refraction 1.5
 # Means over directions by the cosine, of 1 - (1 - x)^5 and of that times x: of Schlick's Fresnel in closed form.
@@ -68,14 +69,6 @@ class Cosines:
     half: Float[Tensor, "*#batch"]
 
 
-@record
-class EvenSky:
-    """Radiance of a direction: the mean plus the gradient times the sine of its elevation [W/(m² sr)]."""
-
-    mean: Float[Tensor, "*#batch 3"]
-    gradient: Float[Tensor, "*#batch 3"]
-
-
 Visible = Callable[[Tensor, Tensor, Tensor], Tensor]
 
 
@@ -85,6 +78,18 @@ def material(
     """Material of a base colour: what a metal reflects, and of all else the colour of its ground."""
     metal = metallic[..., None]
     return Material(base * (1.0 - metal), torch.lerp(torch.full_like(base, DIELECTRIC), base, metal), roughness)
+
+
+def lit(
+    surface: Surface, to_eye: Float[Tensor, "*#batch 3"], lights: Lights, visible: Visible = visible_smith
+) -> Float[Tensor, "*batch 3"]:
+    """Radiance of all lights and the sky that a surface of the basic material sends to the eye [W/(m² sr)]."""
+    of = material(surface.base, surface.roughness, surface.metallic)
+    total = reflected_sky(of, Geometry(surface.normal, to_eye, surface.normal), lights.sky)
+    for to_light, irradiance in zip(lights.to_light, lights.irradiance, strict=True):
+        towards = to_light.expand_as(surface.normal)
+        total = total + irradiance * reflected(of, Geometry(surface.normal, to_eye, towards), visible)
+    return total
 
 
 def reflected(material: Material, geometry: Geometry, visible: Visible = visible_smith) -> Float[Tensor, "*batch 3"]:

@@ -10,8 +10,8 @@ from torch import Tensor
 from diffrender.parameters import parameter, record
 from diffrender.rays import from_angles
 from diffrender.shading import ripples, trickles
-from diffrender.shading.brdf import EvenSky
 from diffrender.shading.drying import DryBoxes
+from diffrender.surfaces import EvenSky
 
 WATER = 0.02  # share that water reflects at normal incidence: refraction 1.33
 POROUS_FROM, POROUS_OVER = 0.5, 0.4  # roughness where ground begins to be porous, and over which it gets wholly so
