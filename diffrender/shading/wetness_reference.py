@@ -1,12 +1,10 @@
 """Wetness by slow and plain means: the same published model [1], with no formula of the fast one but its constants.
 
 What is wet of a material is told in gloss and not in roughness, as published. Water is followed through time by small
-steps; every ring of a tile is looked at for every place; rivulets are differences of their film's thickness. Facets are
-Walter's [2] by the tangent of their angle and Smith's function, and the sky is summed over facets that are drawn for
-each place as they lie in the world, without tables.
+steps; every ring of a tile is looked at for every place; rivulets are differences of their film's thickness. What
+the soaked material sends to the eye is summed by `brdf_reference`.
 
 [1] S. Lagarde, "Water drop 2b" and "Water drop 3b", seblagarde.wordpress.com, 2013.
-[2] B. Walter et al., "Microfacet Models for Refraction through Rough Surfaces", EGSR 2007, section 5.
 """
 
 import math
@@ -16,13 +14,12 @@ from jaxtyping import Float
 from torch import Tensor
 
 from diffrender.shading import ripples, trickles
-from diffrender.shading.brdf import DIELECTRIC
-from diffrender.shading.microfacet import MIRROR_SPREAD
+from diffrender.shading.brdf import DIELECTRIC, Geometry, Material
+from diffrender.shading.brdf_reference import reflected, reflected_sky
 from diffrender.shading.wet_surface import LEVEL, POROUS_FROM, POROUS_OVER, SHORE, STEEP, WATER, Wetness, WetView
 
 _STEPS = 256  # of time
 _SMALL = 1e-5  # of differences [m]
-_SHARES, _TURNS = 160, 64  # facets
 
 
 def reference(wetness: Wetness, view: WetView) -> Float[Tensor, "*batch 3"]:
@@ -50,8 +47,9 @@ def reference(wetness: Wetness, view: WetView) -> Float[Tensor, "*batch 3"]:
     level = _ringed(wetness, view, wetness.rain * rained)
     normal = normal * (1 - flooded[..., None]) + level * flooded[..., None]
     normal = normal / normal.norm(dim=-1, keepdim=True)
-    spread = torch.sqrt((1 - gloss) ** 4 + MIRROR_SPREAD**2)
-    return _of_light(view, normal, diffuse, straight, spread) + _of_sky(view, normal, diffuse, straight, spread)
+    soaked = Material(diffuse, straight, 1 - gloss)
+    geometry = Geometry(normal, view.to_eye, view.to_light + torch.zeros_like(normal))
+    return view.irradiance * reflected(soaked, geometry) + reflected_sky(soaked, geometry, view.sky)
 
 
 def _saturated(x: Tensor) -> Tensor:
@@ -128,70 +126,3 @@ def _ringed(wetness: Wetness, view: WetView, rain: Tensor) -> Tensor:
                 lean = lean + (strength * slope)[..., None] * aside
     lean = ripples._STEEPEST * wetness.ripple_strength * lean
     return torch.cat([lean, torch.ones_like(lean[..., :1])], -1) / torch.sqrt(1 + (lean**2).sum(-1, keepdim=True))
-
-
-def _of_light(view: WetView, normal: Tensor, diffuse: Tensor, straight: Tensor, spread: Tensor) -> Tensor:
-    to_light = view.to_light + torch.zeros_like(normal)
-    cos_eye, cos_light = (torch.einsum("...i,...i", normal, one) for one in (view.to_eye, to_light))
-    half = view.to_eye + to_light
-    half = half / half.norm(dim=-1, keepdim=True)
-    cos_facet, cos_half = (torch.einsum("...i,...i", half, one) for one in (normal, to_light))
-    tangent = torch.linalg.cross(normal, half).norm(dim=-1) / cos_facet
-    facets = 1 / (math.pi * spread**2 * cos_facet**4 * (1 + (tangent / spread) ** 2) ** 2)
-    seen = 1 / (1 + _hidden(cos_eye, spread) + _hidden(cos_light, spread))
-    fresnel = straight + (1 - straight) * (1 - cos_half[..., None]) ** 5
-    mirrored = fresnel * (facets * seen / (4 * cos_eye * cos_light))[..., None]
-    ground = diffuse * (1 - straight) * ((1 - (1 - cos_eye) ** 5) * (1 - (1 - cos_light) ** 5))[..., None] / math.pi
-    shone = view.irradiance * cos_light[..., None] * (mirrored + ground)
-    return torch.where((cos_light > 0)[..., None], shone, 0 * shone)
-
-
-def _hidden(cosine: Tensor, spread: Tensor) -> Tensor:
-    """Smith's Lambda of GGX."""
-    return 0.5 * (torch.sqrt(1 + spread**2 * (1 / cosine**2 - 1)) - 1)
-
-
-def _of_sky(view: WetView, normal: Tensor, diffuse: Tensor, straight: Tensor, spread: Tensor) -> Tensor:
-    share = (torch.arange(_SHARES, dtype=normal.dtype) + 0.5) / _SHARES
-    turn = (torch.arange(_TURNS, dtype=normal.dtype) + 0.5) * (2 * math.pi / _TURNS)
-    # Any two directions across the normal.
-    helper = torch.eye(3, dtype=normal.dtype)[normal.abs().argmin(-1)]
-    first = torch.linalg.cross(normal, helper)
-    first = first / first.norm(dim=-1, keepdim=True)
-    second = torch.linalg.cross(normal, first)
-
-    def around(cosine: Tensor) -> Tensor:
-        sine = torch.sqrt(1 - cosine**2)[..., None]
-        flat = (
-            first[..., None, None, :] * torch.cos(turn)[:, None] + second[..., None, None, :] * torch.sin(turn)[:, None]
-        )
-        whole: Tensor = normal[..., None, None, :] * cosine[..., None] + flat * sine
-        return whole
-
-    def sky(direction: Tensor) -> Tensor:
-        mean, gradient = (one[..., None, None, :] for one in (view.sky.mean, view.sky.gradient))
-        seen: Tensor = mean + gradient * direction[..., 2:]
-        return seen
-
-    eye = view.to_eye[..., None, None, :]
-    cos_eye = torch.einsum("...i,...i", normal, view.to_eye)[..., None, None]
-    # Facets by the density D cos: most of them where little is left, in the tail.
-    left = share**3
-    cos_facet = (1 / torch.sqrt(1 + spread[..., None] ** 2 * (1 / left - 1)))[..., None].expand(
-        *spread.shape, -1, _TURNS
-    )
-    facet = around(cos_facet)
-    cos_half = (facet * eye).sum(-1)
-    light = 2 * cos_half[..., None] * facet - eye
-    cos_light = torch.einsum("...i,...jki->...jk", normal, light)
-    wide = spread[..., None, None]
-    seen = 1 / (1 + _hidden(cos_eye, wide) + _hidden(cos_light, wide))
-    weight = seen * cos_half / (cos_eye * cos_facet) * (3 * share**2)[:, None]
-    weight = torch.where((cos_half > 0) & (cos_light > 0), weight, 0 * weight)[..., None]
-    fresnel = straight[..., None, None, :]
-    fresnel = fresnel + (1 - fresnel) * (1 - cos_half[..., None].clip(0, 1)) ** 5
-    mirrored = (weight * fresnel * sky(light)).mean((-3, -2))
-    cosine = torch.sqrt(share)[:, None].expand(*spread.shape, -1, _TURNS)
-    crossed = ((1 - (1 - cosine[..., None]) ** 5) * sky(around(cosine))).mean((-3, -2))
-    sent: Tensor = mirrored + diffuse * (1 - straight) * (1 - (1 - cos_eye[..., 0]) ** 5) * crossed
-    return sent
