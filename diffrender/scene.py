@@ -28,6 +28,7 @@ from diffrender.effect import Render
 from diffrender.geometry.fractal_shapes import Fractal
 from diffrender.parameters import Specification, names, parameter, record, specifications
 from diffrender.rays import Rays, from_angles
+from diffrender.shading.basic_material import BasicMaterial
 from diffrender.shading.lamps import LocalLights
 from diffrender.shading.sphere_surface import SphereLight
 from diffrender.shading.wet_surface import Wetness
@@ -54,7 +55,8 @@ class Scene:
     aerial_perspective: AerialPerspective | None = None  # likewise
     far_fog: FarFog | None = None
     froxel_fog: FroxelFog | None = None
-    wetness: Wetness | None = None  # of surfaces, which whole-sky pictures do not show either
+    basic_material: BasicMaterial | None = None  # of surfaces, which whole-sky pictures do not show either
+    wetness: Wetness | None = None
     rain: Rain | None = None
     local_lights: LocalLights | None = None
     sphere_light: SphereLight | None = None

@@ -29,13 +29,15 @@ from diffrender.geometry.fractal_shapes import Mandelbulb, Menger, Shape, Sierpi
 from diffrender.geometry.fractals import FractalView
 from diffrender.parameters import defaults, names, specifications, to_cube
 from diffrender.rays import Camera, Equirectangular, Perspective, Rays, angles, from_angles, pixel_centres
+from diffrender.shading import basic_material
+from diffrender.shading.basic_material import MaterialView
 from diffrender.shading.lamps import LitView
 from diffrender.shading.lamps import example_inputs as lit_examples
 from diffrender.shading.sphere_surface import SphereView
 from diffrender.shading.sphere_surface import example_inputs as sphere_examples
 from diffrender.shading.wet_surface import WetView
 from diffrender.shading.wet_surface import example_inputs as wet_examples
-from experiments import lamp_plain, lamp_scenes, rain_street, wet_scenes
+from experiments import ball, lamp_plain, lamp_scenes, rain_street, wet_scenes
 from experiments.records import RESULTS
 
 IRRADIANCE = specifications(Sun)["irradiance"].default
@@ -135,6 +137,13 @@ def _wet_picture(width: int, height: int) -> WetView:
     return wet_scenes.street(wet_scenes.puddle_camera(width, height), wet_scenes.Weather())
 
 
+def _material_picture(width: int, height: int) -> MaterialView:
+    """A ball repeated until its pixels are as many as the picture's."""
+    shown = ball.ball(width, height)
+    place = torch.arange(width * height) % len(shown.normal)
+    return MaterialView(shown.normal[place], shown.to_eye[place], ball.studio())
+
+
 def _lit_picture(width: int, height: int) -> LitView:
     """A hall of 200 lamps."""
     draw = torch.Generator().manual_seed(0)
@@ -160,6 +169,7 @@ PICTURES: Mapping[str, Callable[[int, int], Any]] = {
     "sky": _sky_picture,
     "sun disc": _disc_picture,
     "froxel fog": _froxel_picture,
+    "basic material": _material_picture,
     "wetness": _wet_picture,
     "local lights": _lit_picture,
     "sphere light": _sphere_picture,
@@ -234,6 +244,20 @@ def _hard_froxels() -> dict[str, FroxelView]:
     }
 
 
+def _hard_materials() -> dict[str, MaterialView]:
+    """By a grazing eye, by one in the light, and in the mirror's direction."""
+    seen = basic_material.example_inputs(torch.float64)
+    up = (seen.normal * seen.to_eye).sum(-1, keepdim=True)
+    level = torch.nn.functional.normalize(seen.to_eye - (up - 1e-3) * seen.normal, dim=-1)
+    to_light = seen.lights.to_light[0]
+    mirrored = 2.0 * (seen.normal * to_light).sum(-1, keepdim=True) * seen.normal - to_light
+    return {
+        "eye at the horizon": replace(seen, to_eye=level),
+        "eye at the light": replace(seen, to_eye=to_light.expand_as(seen.to_eye)),
+        "eye in the mirror": replace(seen, to_eye=torch.nn.functional.normalize(mirrored + 2e-3, dim=-1)),
+    }
+
+
 def _hard_surfaces() -> dict[str, WetView]:
     """Under a sun at the horizon, one at the eye, one near its mirror's place in level water, and by a grazing eye."""
     seen = wet_examples(torch.float64)
@@ -288,6 +312,7 @@ HARD: Mapping[str, Callable[[], Mapping[str, Any]]] = {
     "sky": _hard_skies,
     "sun disc": _hard_discs,
     "froxel fog": _hard_froxels,
+    "basic material": _hard_materials,
     "wetness": _hard_surfaces,
     "local lights": _hard_lamps,
     "rain": lambda: {name: in_dtype(view, torch.float64) for name, view in rain_street.hard_views().items()},

@@ -13,8 +13,9 @@ from export_targets import PAGE, THREE, unreal, unreal_transmittance
 from synthetic_sky import HAZY_MORNING
 
 from diffrender.atmosphere import celestial, height_fog
+from diffrender.parameters import names
 from diffrender.rays import Equirectangular, Rays, from_angles
-from diffrender.scene import sun_view
+from diffrender.scene import RECORDS, sun_view, weather_names
 from experiments import browser, export_views, exports
 from fit import exr, keyframes, weather_file
 from fit.export import exported, targets, threejs
@@ -87,14 +88,14 @@ def test_the_command_writes_and_tells_the_account(run, tmp_path):
     assert out.startswith("Weather of day.csv at 7 h, the sun 1 degrees above the horizon\nthree.js: ")
     assert "VOLLIGHT_FARFOG_*" not in out
     assert three_data(tmp_path / "out")["to_sun"][2] == pytest.approx(math.sin(math.radians(1.0)))
-    undrawn = {
-        "VOLLIGHT_FARFOG_ZFAR": 9e3, "VOLLIGHT_NOISE_SIZE": 30.0, "WETNESS_AMOUNT": 0.5, "RAIN_PARTICLE_EMIT_RATE": 3e3,
-        "LOCAL_LIGHTS_INTENSITY_SCALE": 2.0, "SPHERE_LIGHT_RADIUS": 0.2, "FRACTAL_POWER": 5.0,
-    }  # fmt: skip
+    # One name of every effect that is no sky, sun, height fog or anti-aliasing.
+    drawn = {"", "SUN", "SKY", "HEIGHT_FOG", "AA"}
+    first = {prefix: next(iter(names(kind, prefix))) for prefix, kind in RECORDS.items() if prefix not in drawn}
+    undrawn = {name: weather_names()[name].file_bounds[1] for name in first.values()}
     weather_file.write(file, weather_file.of_photo(FOGGY | undrawn, 7.0, {}))
     assert run("export", file, "--to", "threejs", "--out", tmp_path / "out", "--quiet") == (0, "", "")
     told = (tmp_path / "out" / "export.txt").read_text()
-    for prefix in ("VOLLIGHT_FARFOG", "VOLLIGHT", "WETNESS", "RAIN", "LOCAL_LIGHTS", "SPHERE_LIGHT", "FRACTAL"):
+    for prefix in first:
         assert f"  {prefix}_*, which no export draws\n" in told
 
 
