@@ -116,8 +116,22 @@ def sent(material: Material, facets: Float[Tensor, "*#batch"], cosines: Cosines)
     What lights of a size are made of, whose facets are counted otherwise than of a point.
     """
     mirrored = fresnel_schlick(material.straight, cosines.half) * facets[..., None]
-    lit = (cosines.light / math.pi * _crossed(cosines.light))[..., None]
-    return mirrored + _ground(material, cosines.eye) * lit
+    return mirrored + ground(material, cosines.eye) * entered(cosines.light)[..., None]
+
+
+def entered(cos_light: Float[Tensor, "*batch"]) -> Float[Tensor, "*batch"]:
+    """Share of a light's irradiance that reaches the ground under a surface, as radiance of white ground [1/sr]."""
+    return cos_light / math.pi * _crossed(cos_light)
+
+
+def entered_sky(normal: Float[Tensor, "*#batch 3"], sky: EvenSky) -> Float[Tensor, "*batch 3"]:
+    """Radiance of white ground by what reaches it of a sky through a surface [W/(m² sr)]."""
+    return sky.mean * _CROSSED + sky.gradient * (normal[..., 2:] * _CROSSED_ALONG)
+
+
+def ground(material: Material, cos_eye: Float[Tensor, "*#batch"]) -> Float[Tensor, "*batch 3"]:
+    """Share of the light which has entered that the diffuse ground sends through the surface to the eye."""
+    return material.diffuse * (1.0 - material.straight) * _crossed(cos_eye)[..., None]
 
 
 def reflected_sky(material: Material, geometry: Geometry, sky: EvenSky) -> Float[Tensor, "*batch 3"]:
@@ -129,8 +143,7 @@ def reflected_sky(material: Material, geometry: Geometry, sky: EvenSky) -> Float
     elevation = along * up[..., None] - aside * (rise - cos_eye * up)[..., None]
     weights = share[..., None, :] * sky.mean[..., None] + elevation[..., None, :] * sky.gradient[..., None]
     mirrored = material.straight * weights[..., 0] + weights[..., 1]
-    ground = sky.mean * _CROSSED + sky.gradient * (up * _CROSSED_ALONG)[..., None]
-    return mirrored + _ground(material, cos_eye) * ground
+    return mirrored + ground(material, cos_eye) * entered_sky(geometry.normal, sky)
 
 
 def albedo(material: Material, cos_eye: Float[Tensor, "*#batch"]) -> Float[Tensor, "*batch 3"]:
@@ -140,7 +153,7 @@ def albedo(material: Material, cos_eye: Float[Tensor, "*#batch"]) -> Float[Tenso
     """
     cosine = cos_eye.clamp(LEAST_COSINE, 1.0)
     share = moments(cosine, material.roughness)[..., 0, :]
-    return material.straight * share[..., :1] + share[..., 1:] + _ground(material, cosine) * _CROSSED
+    return material.straight * share[..., :1] + share[..., 1:] + ground(material, cosine) * _CROSSED
 
 
 def moments(cos_eye: Float[Tensor, "*#batch"], roughness: Float[Tensor, "*#batch"]) -> Float[Tensor, "*batch 3 2"]:
@@ -157,11 +170,6 @@ def moments(cos_eye: Float[Tensor, "*#batch"], roughness: Float[Tensor, "*#batch
 def _crossed(cosine: Tensor) -> Tensor:
     """Share that crosses a surface, over that at normal incidence."""
     return 1.0 - fifth_power(1.0 - cosine)
-
-
-def _ground(material: Material, cos_eye: Tensor) -> Tensor:
-    """Radiance of the diffuse ground, over the mean by the cosine of that which crosses the surface towards it."""
-    return material.diffuse * (1.0 - material.straight) * _crossed(cos_eye)[..., None]
 
 
 @cache
