@@ -30,6 +30,7 @@ from diffrender.parameters import Specification, names, parameter, record, speci
 from diffrender.rays import Rays, from_angles
 from diffrender.shading.basic_material import BasicMaterial
 from diffrender.shading.lamps import LocalLights
+from diffrender.shading.skin_view import Skin
 from diffrender.shading.sphere_surface import SphereLight
 from diffrender.shading.wet_surface import Wetness
 from diffrender.weather.rain_drops import Rain
@@ -57,6 +58,7 @@ class Scene:
     froxel_fog: FroxelFog | None = None
     basic_material: BasicMaterial | None = None  # of surfaces, which whole-sky pictures do not show either
     wetness: Wetness | None = None
+    skin: Skin | None = None
     rain: Rain | None = None
     local_lights: LocalLights | None = None
     sphere_light: SphereLight | None = None
