@@ -33,11 +33,13 @@ from diffrender.shading import basic_material
 from diffrender.shading.basic_material import MaterialView
 from diffrender.shading.lamps import LitView
 from diffrender.shading.lamps import example_inputs as lit_examples
+from diffrender.shading.skin_view import SkinView
+from diffrender.shading.skin_view import example_inputs as skin_examples
 from diffrender.shading.sphere_surface import SphereView
 from diffrender.shading.sphere_surface import example_inputs as sphere_examples
 from diffrender.shading.wet_surface import WetView
 from diffrender.shading.wet_surface import example_inputs as wet_examples
-from experiments import ball, lamp_plain, lamp_scenes, rain_street, wet_scenes
+from experiments import ball, lamp_plain, lamp_scenes, rain_street, skin_scene, wet_scenes
 from experiments.records import RESULTS
 
 IRRADIANCE = specifications(Sun)["irradiance"].default
@@ -171,6 +173,7 @@ PICTURES: Mapping[str, Callable[[int, int], Any]] = {
     "froxel fog": _froxel_picture,
     "basic material": _material_picture,
     "wetness": _wet_picture,
+    "skin": skin_scene.picture_view,
     "local lights": _lit_picture,
     "sphere light": _sphere_picture,
     "fractal": _bulb_picture,
@@ -272,6 +275,21 @@ def _hard_surfaces() -> dict[str, WetView]:
     }
 
 
+def _hard_skin() -> dict[str, SkinView]:
+    """Examples seen from afar, so that light stays within a pixel, and from near; by a grazing eye; and hardly any."""
+    seen = skin_examples(torch.float64)
+    up = (seen.normal * seen.to_eye).sum(-1, keepdim=True)
+    level = torch.nn.functional.normalize(seen.to_eye - (up - 0.02) * seen.normal, dim=-1)
+    single = torch.zeros_like(seen.mask)
+    single[:, 3, 4] = 1e-3
+    return {
+        "from afar": replace(seen, position=100.0 * seen.position),
+        "from near": replace(seen, position=0.05 * seen.position),
+        "eye at the horizon": replace(seen, to_eye=level),
+        "a thousandth of one pixel": replace(seen, mask=single),
+    }
+
+
 def _hard_lamps() -> dict[str, LitView]:
     """Lamps on the surface and just above it, at the eye's mirror, and by grazing eyes."""
     seen = lit_examples(torch.float64)
@@ -314,6 +332,7 @@ HARD: Mapping[str, Callable[[], Mapping[str, Any]]] = {
     "froxel fog": _hard_froxels,
     "basic material": _hard_materials,
     "wetness": _hard_surfaces,
+    "skin": _hard_skin,
     "local lights": _hard_lamps,
     "rain": lambda: {name: in_dtype(view, torch.float64) for name, view in rain_street.hard_views().items()},
     "sphere light": _hard_spheres,
