@@ -88,13 +88,28 @@ def fifth_power(x: Float[Tensor, "*batch"]) -> Float[Tensor, "*batch"]:
     return square * square * x
 
 
-def fresnel_exact(index: float, cosine: Float[Tensor, "*batch"]) -> Float[Tensor, "*batch"]:
+def fresnel_exact(index: float | Float[Tensor, "*#batch"], cosine: Float[Tensor, "*#batch"]) -> Float[Tensor, "*batch"]:
     """Share of unpolarised light that a clear medium reflects, by its index of refraction over the air's.
 
     >>> fresnel_exact(1.33, torch.tensor([1.0, 0.5, 0.0]))
     tensor([0.0201, 0.0591, 1.0000])
     """
-    bent = torch.sqrt(index * index - 1.0 + cosine * cosine)
-    across = (cosine - bent) / (cosine + bent)
-    within = (index * index * cosine - bent) / (index * index * cosine + bent)
-    return 0.5 * (across * across + within * within)
+    across, within = fresnel_polarised(index, cosine)
+    return 0.5 * (across + within)
+
+
+def fresnel_polarised(
+    index: float | Float[Tensor, "*#batch"], cosine: Float[Tensor, "*#batch"]
+) -> tuple[Float[Tensor, "*batch"], Float[Tensor, "*batch"]]:
+    """The same of light that swings across the plane of incidence, and of light that swings within it.
+
+    In products of index - 1, so that nothing is left of them, nor of their gradients, at an index of 1.
+
+    >>> fresnel_polarised(1.5, torch.tensor([1.0, 0.5]))
+    (tensor([0.0400, 0.1766]), tensor([0.0400, 0.0018]))
+    """
+    denser = (index - 1.0) * (index + 1.0)
+    bent = torch.sqrt(denser + cosine * cosine)
+    across = denser / (cosine + bent).square()
+    within = denser * ((index * index + 1.0) * cosine * cosine - 1.0) / (index * index * cosine + bent).square()
+    return across.square(), within.square()
