@@ -32,6 +32,7 @@ from diffrender.shading.basic_material import BasicMaterial
 from diffrender.shading.lamps import LocalLights
 from diffrender.shading.skin_view import Skin
 from diffrender.shading.sphere_surface import SphereLight
+from diffrender.shading.transparent_view import Transparent
 from diffrender.shading.wet_surface import Wetness
 from diffrender.weather.rain_drops import Rain
 
@@ -59,6 +60,7 @@ class Scene:
     basic_material: BasicMaterial | None = None  # of surfaces, which whole-sky pictures do not show either
     wetness: Wetness | None = None
     skin: Skin | None = None
+    transparent: Transparent | None = None
     rain: Rain | None = None
     local_lights: LocalLights | None = None
     sphere_light: SphereLight | None = None
