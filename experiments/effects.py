@@ -37,9 +37,11 @@ from diffrender.shading.skin_view import SkinView
 from diffrender.shading.skin_view import example_inputs as skin_examples
 from diffrender.shading.sphere_surface import SphereView
 from diffrender.shading.sphere_surface import example_inputs as sphere_examples
+from diffrender.shading.transparent_view import TransparentView
+from diffrender.shading.transparent_view import example_inputs as layer_examples
 from diffrender.shading.wet_surface import WetView
 from diffrender.shading.wet_surface import example_inputs as wet_examples
-from experiments import ball, lamp_plain, lamp_scenes, rain_street, skin_scene, wet_scenes
+from experiments import ball, lamp_plain, lamp_scenes, rain_street, skin_scene, transparent_scene, wet_scenes
 from experiments.records import RESULTS
 
 IRRADIANCE = specifications(Sun)["irradiance"].default
@@ -174,6 +176,7 @@ PICTURES: Mapping[str, Callable[[int, int], Any]] = {
     "basic material": _material_picture,
     "wetness": _wet_picture,
     "skin": skin_scene.picture_view,
+    "transparent": transparent_scene.picture_view,
     "local lights": _lit_picture,
     "sphere light": _sphere_picture,
     "fractal": _bulb_picture,
@@ -290,6 +293,25 @@ def _hard_skin() -> dict[str, SkinView]:
     }
 
 
+def _hard_layers() -> dict[str, TransparentView]:
+    """Under a sun at the eye, behind the panes, and mirrored; with panes seen along their edge and nearly so."""
+    seen = layer_examples(torch.float64)
+    eye, normal, lights = seen.to_eye, seen.normal, seen.lights
+    cosine = (normal * eye[:, None]).sum(-1, keepdim=True)
+    mirrored = 2.0 * cosine * normal - eye[:, None]
+    suns = {"sun at the eye": eye[5], "sun behind": -eye[5], "sun mirrored": mirrored[5, 0]}
+    found = {
+        name: replace(seen, lights=replace(lights, to_light=torch.stack([sun, lights.to_light[1]])))
+        for name, sun in suns.items()
+    }
+    # Not of those seen straight on, which lie in no plane with the eye that could be turned.
+    tilted = cosine.abs() < 0.999
+    for name, left in {"edges": 0.0, "nearly edges": 0.02}.items():
+        turned = torch.nn.functional.normalize(normal - (cosine - left) * eye[:, None], dim=-1)
+        found[name] = replace(seen, normal=torch.where(tilted, turned, normal))
+    return found
+
+
 def _hard_lamps() -> dict[str, LitView]:
     """Lamps on the surface and just above it, at the eye's mirror, and by grazing eyes."""
     seen = lit_examples(torch.float64)
@@ -333,6 +355,7 @@ HARD: Mapping[str, Callable[[], Mapping[str, Any]]] = {
     "basic material": _hard_materials,
     "wetness": _hard_surfaces,
     "skin": _hard_skin,
+    "transparent": _hard_layers,
     "local lights": _hard_lamps,
     "rain": lambda: {name: in_dtype(view, torch.float64) for name, view in rain_street.hard_views().items()},
     "sphere light": _hard_spheres,
