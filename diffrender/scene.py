@@ -30,6 +30,7 @@ from diffrender.parameters import Specification, names, parameter, record, speci
 from diffrender.rays import Rays, from_angles
 from diffrender.shading.basic_material import BasicMaterial
 from diffrender.shading.lamps import LocalLights
+from diffrender.shading.painted_surface import CarPaint
 from diffrender.shading.skin_view import Skin
 from diffrender.shading.sphere_surface import SphereLight
 from diffrender.shading.transparent_view import Transparent
@@ -61,6 +62,7 @@ class Scene:
     wetness: Wetness | None = None
     skin: Skin | None = None
     transparent: Transparent | None = None
+    car_paint: CarPaint | None = None
     rain: Rain | None = None
     local_lights: LocalLights | None = None
     sphere_light: SphereLight | None = None

@@ -33,6 +33,8 @@ from diffrender.shading import basic_material
 from diffrender.shading.basic_material import MaterialView
 from diffrender.shading.lamps import LitView
 from diffrender.shading.lamps import example_inputs as lit_examples
+from diffrender.shading.painted_surface import CarPaintView
+from diffrender.shading.painted_surface import example_inputs as painted_examples
 from diffrender.shading.skin_view import SkinView
 from diffrender.shading.skin_view import example_inputs as skin_examples
 from diffrender.shading.sphere_surface import SphereView
@@ -41,7 +43,16 @@ from diffrender.shading.transparent_view import TransparentView
 from diffrender.shading.transparent_view import example_inputs as layer_examples
 from diffrender.shading.wet_surface import WetView
 from diffrender.shading.wet_surface import example_inputs as wet_examples
-from experiments import ball, lamp_plain, lamp_scenes, rain_street, skin_scene, transparent_scene, wet_scenes
+from experiments import (
+    ball,
+    car_paint_scene,
+    lamp_plain,
+    lamp_scenes,
+    rain_street,
+    skin_scene,
+    transparent_scene,
+    wet_scenes,
+)
 from experiments.records import RESULTS
 
 IRRADIANCE = specifications(Sun)["irradiance"].default
@@ -177,6 +188,7 @@ PICTURES: Mapping[str, Callable[[int, int], Any]] = {
     "wetness": _wet_picture,
     "skin": skin_scene.picture_view,
     "transparent": transparent_scene.picture_view,
+    "car paint": car_paint_scene.picture_view,
     "local lights": _lit_picture,
     "sphere light": _sphere_picture,
     "fractal": _bulb_picture,
@@ -312,6 +324,19 @@ def _hard_layers() -> dict[str, TransparentView]:
     return found
 
 
+def _hard_paint() -> dict[str, CarPaintView]:
+    """In a light's mirror, under lights at the horizon and below it, by a grazing eye, and from very far."""
+    seen = painted_examples(torch.float64)
+    normal, to_eye = seen.normal, seen.to_eye
+    up = (normal * to_eye).sum(-1, keepdim=True)
+    level = torch.nn.functional.normalize(to_eye - (up - 1e-3) * normal, dim=-1)
+    mirrored = torch.nn.functional.normalize((2.0 * up * normal - to_eye)[:2] + 2e-3, dim=-1)
+    towards = {"lights mirrored": mirrored, "lights at the horizon": level[:2], "lights below": -normal[:2]}
+    found = {name: replace(seen, lights=replace(seen.lights, to_light=one)) for name, one in towards.items()}
+    far = replace(seen, footprint=seen.footprint + 10.0)
+    return found | {"eye at the horizon": replace(seen, to_eye=level), "from very far": far}
+
+
 def _hard_lamps() -> dict[str, LitView]:
     """Lamps on the surface and just above it, at the eye's mirror, and by grazing eyes."""
     seen = lit_examples(torch.float64)
@@ -356,6 +381,7 @@ HARD: Mapping[str, Callable[[], Mapping[str, Any]]] = {
     "wetness": _hard_surfaces,
     "skin": _hard_skin,
     "transparent": _hard_layers,
+    "car paint": _hard_paint,
     "local lights": _hard_lamps,
     "rain": lambda: {name: in_dtype(view, torch.float64) for name, view in rain_street.hard_views().items()},
     "sphere light": _hard_spheres,
