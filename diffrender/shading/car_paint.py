@@ -13,7 +13,8 @@ crosses, weighed by what each light gives the base coat's diffuse ground: exact 
 
 Left out: the sky in single flakes, which is drawn as in even ones; shine of the base coat under the varnish, which is
 the basic material's of roughness 1, though its index is the varnish's own; light that the coat sends down again, for
-want of which white paint sends 0.85 to 0.91 of an even sky straight up and not all; and that a rough coat blurs what lies below.
+want of which white paint sends 0.85 to 0.91 of an even sky straight up and not all; and that a rough coat blurs what
+lies below.
 
 Gradient: exact but for which flake is seen, as of `flakes` and `clear_coat`.
 
