@@ -8,7 +8,6 @@ import sys
 
 import numpy as np
 import pytest
-import torch
 from synthetic_sky import HAZY_MORNING, radiance, save
 
 from fit import __main__ as command
@@ -18,7 +17,6 @@ from fit import png, weather_file
 @pytest.fixture
 def run(monkeypatch, capfd):
     """Run the command in this process: exit status, standard output, standard error."""
-    threads = torch.get_num_threads()
     # A shell ignores the interrupt for what it runs in the background, and a test run passes that on.
     handler = signal.signal(signal.SIGINT, signal.default_int_handler)
 
@@ -32,7 +30,6 @@ def run(monkeypatch, capfd):
 
     yield run
     signal.signal(signal.SIGINT, handler)
-    torch.set_num_threads(threads)  # the command sets those of its process, which here is that of all tests
 
 
 @pytest.fixture(scope="session")
