@@ -8,7 +8,7 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cache
-from types import NoneType
+from types import MappingProxyType, NoneType
 from typing import Any, get_args, get_type_hints
 
 import torch
@@ -96,13 +96,14 @@ def places() -> Mapping[str, Place]:
     return found
 
 
-def weather_names() -> dict[str, Specification]:
-    """What is known of every name that a weather file may hold, in drawing order."""
-    return {
-        name: specifications(kind)[field]
-        for prefix, kind in RECORDS.items()
-        for name, (field, _) in names(kind, prefix).items()
-    }
+@cache
+def weather_names() -> Mapping[str, Specification]:
+    """What is known of every name that a weather file may hold, in drawing order. Made once: every value is checked."""
+    found = {}
+    for prefix, kind in RECORDS.items():
+        known = specifications(kind)
+        found.update({name: known[field] for name, (field, _) in names(kind, prefix).items()})
+    return MappingProxyType(found)
 
 
 _SKYLIGHT_ROWS = 16

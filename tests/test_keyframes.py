@@ -1,5 +1,5 @@
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from itertools import pairwise
 
 import pytest
@@ -37,9 +37,12 @@ class MistyScene:
 
 
 @pytest.fixture
-def _mist(monkeypatch: pytest.MonkeyPatch) -> None:
+def _mist(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
     monkeypatch.setitem(RECORDS, "MIST", Mist)
     monkeypatch.setattr(keyframes, "Scene", MistyScene)
+    weather_names.cache_clear()
+    yield
+    weather_names.cache_clear()
 
 
 hours_of_days = st.sets(st.integers(0, 95), min_size=1, max_size=6).map(
