@@ -82,15 +82,14 @@ def weights_of(drawn):
 
 @functools.cache
 def at_corners(effect, rung, dtype):
-    """Picture at each corner, and the gradient of a weighted sum of it."""
-    found = {}
-    for corner, point in corners(effect).items():
-        leaf = point.to(dtype).requires_grad_()
-        drawn = picture(effect, rung, leaf)
-        # Times 0 for the rungs, like skip, that do not depend on their parameters.
-        total = (drawn * weights_of(drawn)).sum() + 0.0 * leaf.sum()
-        found[corner] = drawn.detach(), torch.autograd.grad(total, leaf)[0]
-    return found
+    """Picture at each corner, and the gradient of a weighted sum of it; all corners at once."""
+    points = corners(effect)
+    leaf = torch.stack(list(points.values())).to(dtype).requires_grad_()
+    drawn = torch.func.vmap(functools.partial(picture, effect, rung))(leaf)
+    # Times 0 for the rungs, like skip, that do not depend on their parameters.
+    total = (drawn * weights_of(drawn[0])).sum() + 0.0 * leaf.sum()
+    (slopes,) = torch.autograd.grad(total, leaf)
+    return dict(zip(points, zip(drawn.detach(), slopes, strict=True), strict=True))
 
 
 def elements(inputs, count, change):
