@@ -3,6 +3,8 @@
 Errors are those of float32 at the defaults, on the effect's examples, where the hard cases are, and on a small picture.
 Times are processor times of one thread on a larger picture: what a rung prepares apart from what it draws, eager and
 compiled; all rungs and a copy of the picture's bytes take turns, and ratios are taken within a turn.
+
+Effects that are not asked for keep their records, each with the machine and date of its own.
 """
 
 import shutil
@@ -209,18 +211,15 @@ def table(found: Sequence[Step]) -> str:
 @torch.no_grad()
 @one_thread()
 def main(arguments: Sequence[str] | None = None) -> None:
-    """Print the table, and write it as JSON and as a picture."""
+    """Print the table of each effect, and write it as JSON; draw all that the file holds."""
     given = effects.ask("error of every rung against its time", arguments)
     size = SMALL if given.is_small else Size()
-    found: list[Step] = []
-    refused = {}
-    for name in given.names:
-        those, refused[name] = steps(name, EFFECTS[name], size)
-        found += those
-    print(table(found))
     written = given.out / "error_versus_time.json"
-    content = {"size": asdict(size), "records": [asdict(step) for step in found], "not_compiled": refused}
-    records.write(written, content, threads=1)
+    for name in given.names:
+        found, refused = steps(name, EFFECTS[name], size)
+        print(table(found))
+        part = {"size": asdict(size), "records": [asdict(step) for step in found], "not_compiled": refused}
+        records.write_part(written, name, part, EFFECTS, threads=1)
     plots.error_versus_time(written)
 
 

@@ -16,6 +16,9 @@ MUST = 0.45  # largest geometric mean of the errors over those of the better pee
 COVERED = {"within_one": (0.63, 0.73), "within_two": (0.92, 0.97)}  # shares of intervals that are to hold the truth
 FEWEST = 30  # intervals below which a share says nothing
 MUST_BE_FASTER = 4.0  # least ratio of a peer's solve time to ours
+EFFECTS_ABREAST = 4  # panels in a row
+COLUMNS = 3  # of rows of stability
+ALLOWED = "allowed for 99.9 %"
 MUST_BE_NEAR = 1.2  # largest error of a fit without help over that of one with mask and sun
 
 Picture = NDArray[np.float64]
@@ -103,20 +106,20 @@ def coverage(path: Path) -> None:
 
 def error_versus_time(path: Path) -> None:
     """Error over time, both as powers of ten: a panel for each effect, a place for each rung."""
-    content = json.loads(path.read_text(encoding="utf-8"))
-    effects = list(dict.fromkeys(row["effect"] for row in content["records"]))
-    lines = math.ceil(len(effects) / 2)
-    figure = Figure(figsize=(10.0, 1.0 + 4.0 * lines), layout="constrained")
-    panels = list(figure.subplots(lines, 2, squeeze=False).flat)
-    for effect, axes in zip(effects, panels, strict=False):
-        _error_panel(axes, effect, [row for row in content["records"] if row["effect"] == effect])
-    for axes in panels[len(effects) :]:
-        axes.set_visible(False)
-    width, height = content["size"]["timed"]
-    figure.supxlabel(f"ms for a picture of {width} × {height} on one thread")
+    effects = json.loads(path.read_text(encoding="utf-8"))["effects"]
+    lines = math.ceil(len(effects) / EFFECTS_ABREAST)
+    figure = Figure(figsize=(5.0 * EFFECTS_ABREAST, 1.0 + 3.4 * lines), layout="constrained")
+    panels = list(figure.subplots(lines, EFFECTS_ABREAST, squeeze=False).flat)
+    for axes, (effect, found) in itertools.zip_longest(panels, effects.items(), fillvalue=("", None)):
+        axes.set_visible(found is not None)
+        if found is not None:
+            _error_panel(axes, effect, found["records"])
+    sizes = sorted({tuple(found["size"]["timed"]) for found in effects.values()})
+    figure.supxlabel(f"ms for a picture of {' or '.join(f'{w} × {h}' for w, h in sizes)} on one thread")
     figure.supylabel("error in float32 against the reference")
-    figure.legend(*panels[0].get_legend_handles_labels(), loc="outside upper center", ncols=3, fontsize="small")
-    figure.savefig(path.with_suffix(".png"), dpi=120)
+    labelled = {label: line for axes in panels for line, label in zip(*axes.get_legend_handles_labels(), strict=True)}
+    figure.legend(labelled.values(), labelled.keys(), loc="outside upper center", ncols=3, fontsize="small")
+    figure.savefig(path.with_suffix(".png"), dpi=100)
 
 
 def _error_panel(axes: Axes, effect: str, rows: Sequence[dict[str, Any]]) -> None:
@@ -139,26 +142,30 @@ def _error_panel(axes: Axes, effect: str, rows: Sequence[dict[str, Any]]) -> Non
 
 def stability(path: Path) -> None:
     """How far float32 is from float64: median, 99.9 % and largest of each kind of number of each rung."""
-    content = json.loads(path.read_text(encoding="utf-8"))
-    rows = [(rung, one) for rung in content["records"] for one in rung["followed"] if one["count"]]
-    places = range(len(rows))
-    figure = Figure(figsize=(9.0, 1.5 + 0.25 * len(rows)), layout="constrained")
-    axes = figure.subplots()
+    effects = json.loads(path.read_text(encoding="utf-8"))["effects"]
+    rungs = [rung for found in effects.values() for rung in found["records"]]
+    rows = [(f"{rung['effect']}: {rung['rung']}, {one['of']}", one) for rung in rungs for one in rung["followed"]]
+    rows = [(label, one) for label, one in rows if one["count"]]
+    high = math.ceil(len(rows) / COLUMNS)
+    figure = Figure(figsize=(7.0 * COLUMNS, 1.5 + 0.2 * high), layout="constrained")
+    for column, axes in enumerate(figure.subplots(1, COLUMNS, sharex=True, squeeze=False)[0]):
+        _stability_column(axes, rows[column * high : (column + 1) * high])
+        axes.axvline(max(found["allowed"] for found in effects.values()), color="red", linestyle=":", label=ALLOWED)
+        axes.set_ylim(high - 0.5, -0.5)
+    figure.supxlabel("relative error of float32 against float64")
+    figure.legend(*axes.get_legend_handles_labels(), loc="outside upper center", ncols=5, fontsize="small")
+    figure.savefig(path.with_suffix(".png"), dpi=100)
+
+
+def _stability_column(axes: Axes, rows: Sequence[tuple[str, dict[str, Any]]]) -> None:
     for name, marker in (("median", "|"), ("most", "o"), ("largest", "x")):
         # What is exactly right stands at the left border.
         errors = [max(one[name], 1e-9) for _, one in rows]
-        axes.plot(errors, list(places), marker, label={"most": "99.9 % are nearer"}.get(name, name))
-    axes.axvline(content["allowed"], color="red", linestyle=":", label="allowed for 99.9 %")
+        axes.plot(errors, range(len(rows)), marker, label={"most": "99.9 % are nearer"}.get(name, name))
     axes.axvline(2.0**-24, color="0.7", label="rounding of float32")
-    axes.set(
-        yticks=list(places),
-        yticklabels=[f"{rung['effect']}: {rung['rung']}, {one['of']}" for rung, one in rows],
-        xscale="log",
-        xlabel="relative error of float32 against float64",
-    )
-    axes.invert_yaxis()
-    figure.legend(loc="outside upper center", ncols=5, fontsize="small")
-    figure.savefig(path.with_suffix(".png"), dpi=120)
+    axes.set(xscale="log")
+    axes.set_yticks(range(len(rows)), [label for label, _ in rows], fontsize="small")
+    axes.grid(axis="y", alpha=0.2)
 
 
 def pruning(path: Path) -> None:

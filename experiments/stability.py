@@ -12,6 +12,8 @@ the number or the floor. What is 0 in both is not counted.
 Numbers off by more than 1e-4 are listed each with its cause, found by rounding: float64 is asked again with inputs and
 parameters moved by half a step of float32 each. Where that moves its own answer as far, within a factor of four,
 the inputs do not determine the number any better; where it does not, the arithmetic is to blame.
+
+Effects that are not asked for keep their records, each with the machine and date of its own.
 """
 
 import itertools
@@ -312,21 +314,20 @@ def table(found: Sequence[Swept]) -> str:
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
-    """Print the tables, and write them as JSON and as a picture."""
+    """Print the tables of each effect, and write them as JSON; draw all that the file holds."""
     given = effects.ask("float32 beside float64 over the box", arguments)
     size = SMALL if given.is_small else Size()
-    found = [swept(name, EFFECTS[name], rung, size) for name in given.names for rung in EFFECTS[name].rungs]
-    print(table(found))
-    causes = {
-        f"{one.effect}: {one.rung}": dict(Counter(f"{far.of}: {far.cause}" for far in one.beyond)) for one in found
-    }
-    for rung, counted in causes.items():
-        for cause, count in counted.items():
-            print(f"{rung}, beyond {ALLOWED:g}: {count} of {cause}")
     written = given.out / "stability.json"
-    listed = [asdict(replace(one, beyond=one.beyond[:LISTED])) for one in found]
-    content = {"size": asdict(size), "allowed": ALLOWED, "share": SHARE, "records": listed, "causes": causes}
-    records.write(written, content)
+    for name in given.names:
+        found = [swept(name, EFFECTS[name], rung, size) for rung in EFFECTS[name].rungs]
+        print(table(found))
+        causes = {one.rung: dict(Counter(f"{far.of}: {far.cause}" for far in one.beyond)) for one in found}
+        for rung, counted in causes.items():
+            for cause, count in counted.items():
+                print(f"{name}: {rung}, beyond {ALLOWED:g}: {count} of {cause}")
+        listed = [asdict(replace(one, beyond=one.beyond[:LISTED])) for one in found]
+        part = {"size": asdict(size), "allowed": ALLOWED, "share": SHARE, "records": listed, "causes": causes}
+        records.write_part(written, name, part, EFFECTS)
     plots.stability(written)
 
 

@@ -7,7 +7,7 @@ from diffrender.catalogue import EFFECTS
 from diffrender.effect import Effect, Rung
 from diffrender.parameters import defaults, parameter, record
 from diffrender.scene import finest, render
-from experiments import effects, error_versus_time, pruning, stability, timing
+from experiments import effects, error_versus_time, pruning, records, stability, timing
 
 
 @record
@@ -93,6 +93,21 @@ def test_an_effect_without_a_picture_shows_its_examples_again_and_again(name, mo
     torch.testing.assert_close(often[: len(once)], once)
 
 
+# records
+
+
+def test_effects_that_were_not_asked_for_keep_their_records(tmp_path, monkeypatch):
+    path = tmp_path / "new" / "found.json"
+    for name, date in (("c", "monday"), ("a", "tuesday"), ("gone", "tuesday"), ("c", "friday")):
+        monkeypatch.setattr(records, "provenance", lambda _, date=date: {"date": date})
+        records.write_part(path, name, {"seen": date}, ("a", "b", "c", "gone"))
+    records.write_part(path, "a", {"seen": "friday"}, ("a", "b", "c"))
+    found = json.loads(path.read_text())["effects"]
+    assert list(found.items()) == [(name, {"seen": "friday", "date": "friday"}) for name in ("a", "c")]
+    records.write_part(path, "b", {"seen": "never"}, ("a", "b", "c"))
+    assert list(json.loads(path.read_text())["effects"]) == ["a", "b", "c"]
+
+
 # error_versus_time
 
 
@@ -136,13 +151,14 @@ def test_without_a_compiler_nothing_is_compiled_and_that_is_told(monkeypatch):
 def test_error_versus_time_writes_every_rung_of_every_effect(tmp_path, capsys):
     error_versus_time.main(["--size", "small", "--out", str(tmp_path)])
     content = json.loads((tmp_path / "error_versus_time.json").read_text())
-    told = [(row["effect"], row["rung"]) for row in content["records"]]
+    rows = [row for found in content["effects"].values() for row in found["records"]]
+    told = [(row["effect"], row["rung"]) for row in rows]
     assert told == [(name, rung) for name, effect in EFFECTS.items() for rung in effect.rungs]
-    for row in content["records"]:
+    for row in rows:
         assert row["on_examples"]["largest"] <= 1.0 or row["rung"] != "skip"
         if row["rung"] == list(EFFECTS[row["effect"]].rungs)[-1]:
             assert row["on_examples"]["largest"] <= 1.01 * EFFECTS[row["effect"]].tolerance
-    assert content["machine"]["threads"] == 1
+    assert {found["machine"]["threads"] for found in content["effects"].values()} == {1}
     assert (tmp_path / "error_versus_time.png").stat().st_size > 1000
     assert all(rung in capsys.readouterr().out for rung in ("march",))
 
@@ -197,9 +213,9 @@ def test_what_is_not_finite_is_counted():
 
 def test_stability_writes_every_rung(tmp_path, capsys):
     stability.main(["sun disc", "--size", "small", "--out", str(tmp_path)])
-    content = json.loads((tmp_path / "stability.json").read_text())
-    assert [row["rung"] for row in content["records"]] == list(EFFECTS["sun disc"].rungs)
-    assert all(one["not_finite"] == 0 for row in content["records"] for one in row["followed"])
+    (found,) = json.loads((tmp_path / "stability.json").read_text())["effects"].values()
+    assert [row["rung"] for row in found["records"]] == list(EFFECTS["sun disc"].rungs)
+    assert all(one["not_finite"] == 0 for row in found["records"] for one in row["followed"])
     assert (tmp_path / "stability.png").stat().st_size > 1000
     assert "sun disc: limb darkened, value" in capsys.readouterr().out
 
