@@ -178,40 +178,53 @@ NOT_FOR_SKY = {"kornia", "pvlib", "pandas", "skimage", "matplotlib", "rich"}
 LOADED = """
 import sys
 from fit.__main__ import main
+listing = sys.argv.pop(1)
 try:
     main()
 finally:
-    print(*{name.split(".")[0] for name in sys.modules}, file=sys.stderr)
+    with open(listing, "w") as file:
+        print(*{name.split(".")[0] for name in sys.modules}, file=file)
 """
 
 
-def loaded(*words):
-    ended = subprocess.run(
-        [sys.executable, "-c", LOADED, *map(str, words)], capture_output=True, text=True, check=False
-    )
-    return set(ended.stderr.split())
+@pytest.fixture(scope="module")
+def elsewhere(tmp_path_factory):
+    """Run the command in a process of its own, in a terminal that knows few letters: what it told, what it loaded."""
+    listing = tmp_path_factory.mktemp("elsewhere") / "modules"
+
+    def run(*words):
+        command = [sys.executable, "-c", LOADED, str(listing), *map(str, words)]
+        ended = subprocess.run(command, capture_output=True, check=False, env={"PYTHONIOENCODING": "ascii"})
+        return ended, set(listing.read_text().split())
+
+    return run
+
+
+@pytest.fixture(scope="module")
+def fitted_elsewhere(elsewhere, folder, tmp_path_factory):
+    out = tmp_path_factory.mktemp("out") / "Zürich"
+    return out, *elsewhere("sky", folder / "sky.exr", *QUICK, "--out", out)
 
 
 @pytest.mark.parametrize("words", [("--help",), ("sky", "--help"), ("render", "--help")])
-def test_help_starts_without_the_heavy_libraries(words):
-    assert loaded(*words) & NOT_FOR_HELP == set()
+def test_help_starts_without_the_heavy_libraries(elsewhere, words):
+    ended, modules = elsewhere(*words)
+    assert ended.returncode == 0
+    assert modules & NOT_FOR_HELP == set()
 
 
 @pytest.mark.slow
-def test_a_fit_loads_only_what_it_needs(folder, tmp_path):
-    modules = loaded("sky", folder / "sky.exr", *QUICK, "--out", tmp_path / "out")
-    assert (tmp_path / "out" / "fit.json").exists()
+def test_a_fit_loads_only_what_it_needs(fitted_elsewhere):
+    out, _, modules = fitted_elsewhere
+    assert (out / "fit.json").exists()
     assert modules & NOT_FOR_SKY == set()
 
 
 @pytest.mark.slow
-def test_a_terminal_that_knows_few_letters_is_no_error(folder, tmp_path):
-    ended = subprocess.run(
-        [sys.executable, "-m", "fit", "sky", str(folder / "sky.exr"), *QUICK, "--out", str(tmp_path / "Zürich")],
-        capture_output=True, check=False, env={"PYTHONIOENCODING": "ascii"},
-    )  # fmt: skip
+def test_a_terminal_that_knows_few_letters_is_no_error(fitted_elsewhere):
+    out, ended, _ = fitted_elsewhere
     assert (ended.returncode, ended.stderr) == (1, b"")
-    assert (tmp_path / "Zürich" / "fit.json").exists()
+    assert (out / "fit.json").exists()
 
 
 @pytest.mark.slow
