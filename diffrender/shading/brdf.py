@@ -164,12 +164,18 @@ def moments(cos_eye: Float[Tensor, "*#batch"], roughness: Float[Tensor, "*#batch
     """
     row, column = cos_eye.sqrt() * (_COSINES - 1.0), roughness * (_ROUGHNESSES - 1.0)
     row, column = row + 0.0 * column, column + 0.0 * row
-    return lookup(_moments().to(cos_eye), row, column)
+    return lookup(_known_moments().to(cos_eye), row, column)
 
 
 def _crossed(cosine: Tensor) -> Tensor:
     """Share that crosses a surface, over that at normal incidence."""
     return 1.0 - fifth_power(1.0 - cosine)
+
+
+@torch.compiler.assume_constant_result  # type: ignore[untyped-decorator]
+def _known_moments() -> Float64[Tensor, "65 33 3 2"]:
+    """The table below, made outside of what is compiled: torch.compile looks through a `cache`, and took minutes."""
+    return _moments()
 
 
 @cache
