@@ -8,7 +8,9 @@ Effects that are not asked for keep their records, each with the machine and dat
 """
 
 import shutil
-from collections.abc import Callable, Mapping, Sequence
+import signal
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import asdict, dataclass
 from functools import partial
 from typing import Any
@@ -24,6 +26,7 @@ from experiments import effects, plots, records
 from experiments.timing import Spread, in_turn, one_thread, ratio, seconds_of, spread
 
 COMPILERS = ("g++", "c++", "clang++")
+LONGEST = 120.0  # of compiling one rung [s of processor time]; splashes of rain take more than 300
 LIT = 1e-6  # share of a picture's largest value above which a value has an error of its own
 
 
@@ -161,13 +164,30 @@ def compiled_rungs(effect: Effect, inputs: Any) -> Compiled:
         eager = rung.render(parameters, prepared)
         compiled = torch.compile(rung.render)
         try:
-            drawn = compiled(parameters, prepared)
+            with _at_most(LONGEST):
+                drawn = compiled(parameters, prepared)
         except TorchDynamoException as refusal:
             refused[name] = str(refusal).splitlines()[0]
             continue
         brightest = eager.abs().max().clamp(min=torch.finfo(eager.dtype).tiny)
         renderers[name], differences[name] = compiled, float((drawn - eager).abs().max() / brightest)
     return Compiled(renderers, differences, refused)
+
+
+@contextmanager
+def _at_most(seconds: float) -> Iterator[None]:
+    """End what takes more processor time of this process, as compilers in Python do, as a refusal to compile."""
+
+    def stop(*_: object) -> None:
+        raise TorchDynamoException(f"not compiled within {seconds:g} s")
+
+    before = signal.signal(signal.SIGVTALRM, stop)
+    signal.setitimer(signal.ITIMER_VIRTUAL, seconds)
+    try:
+        yield
+    finally:
+        signal.setitimer(signal.ITIMER_VIRTUAL, 0.0)
+        signal.signal(signal.SIGVTALRM, before)
 
 
 def steps(name: str, effect: Effect, size: Size) -> tuple[list[Step], Mapping[str, str]]:

@@ -147,6 +147,18 @@ def test_without_a_compiler_nothing_is_compiled_and_that_is_told(monkeypatch):
     assert "no compiler of" in made.refused["drawn"]
 
 
+def test_what_compiles_too_long_is_refused(monkeypatch):
+    def never(*_):
+        while True:
+            pass
+
+    monkeypatch.setattr(error_versus_time, "LONGEST", 0.05)
+    monkeypatch.setattr(error_versus_time.shutil, "which", lambda _: "compiler")
+    monkeypatch.setattr(torch, "compile", lambda _: never)
+    made = error_versus_time.compiled_rungs(effect_of(plain), example(torch.float32))
+    assert made.refused == dict.fromkeys(("skip", "drawn"), "not compiled within 0.05 s")
+
+
 @pytest.mark.slow
 def test_error_versus_time_writes_every_rung_of_every_effect(tmp_path, capsys):
     error_versus_time.main(["--size", "small", "--out", str(tmp_path)])
