@@ -17,6 +17,7 @@ COVERED = {"within_one": (0.63, 0.73), "within_two": (0.92, 0.97)}  # shares of 
 FEWEST = 30  # intervals below which a share says nothing
 MUST_BE_FASTER = 4.0  # least ratio of a peer's solve time to ours
 EFFECTS_ABREAST = 4  # panels in a row
+TOGETHER = 0.12  # share of a panel's side
 COLUMNS = 3  # of rows of stability
 ALLOWED = "allowed for 99.9 %"
 MUST_BE_NEAR = 1.2  # largest error of a fit without help over that of one with mask and sun
@@ -110,10 +111,10 @@ def error_versus_time(path: Path) -> None:
     lines = math.ceil(len(effects) / EFFECTS_ABREAST)
     figure = Figure(figsize=(5.0 * EFFECTS_ABREAST, 1.0 + 3.4 * lines), layout="constrained")
     panels = list(figure.subplots(lines, EFFECTS_ABREAST, squeeze=False).flat)
-    for axes, (effect, found) in itertools.zip_longest(panels, effects.items(), fillvalue=("", None)):
-        axes.set_visible(found is not None)
-        if found is not None:
-            _error_panel(axes, effect, found["records"])
+    for axes, (effect, found) in zip(panels, effects.items(), strict=False):
+        _error_panel(axes, effect, found["records"])
+    for axes in panels[len(effects) :]:
+        axes.set_visible(False)
     sizes = sorted({tuple(found["size"]["timed"]) for found in effects.values()})
     figure.supxlabel(f"ms for a picture of {' or '.join(f'{w} × {h}' for w, h in sizes)} on one thread")
     figure.supylabel("error in float32 against the reference")
@@ -133,11 +134,28 @@ def _error_panel(axes: Axes, effect: str, rows: Sequence[dict[str, Any]]) -> Non
         axes.plot(
             whole, [row["on_picture"]["median"] for row in rows], ".:", color="tab:orange", label="median on a picture"
         )
-    for row, time, height in zip(rows, whole, largest, strict=True):
-        axes.annotate(row["rung"], (time, height), textcoords="offset points", xytext=(5, 5), fontsize="small")
     axes.set(title=effect, xscale="log", yscale="log")
-    axes.margins(x=0.15)
+    axes.margins(x=0.15, y=0.15)
     axes.grid(alpha=0.3)
+    _name_rungs(axes, [row["rung"] for row in rows], list(zip(whole, largest, strict=True)))
+
+
+def _name_rungs(axes: Axes, rungs: Sequence[str], points: Sequence[tuple[float, float]]) -> None:
+    """Write names beside their points, towards the middle; those of points that lie together in one line each."""
+    axes.autoscale_view()
+    places = (axes.transScale + axes.transLimits).transform(points)
+    named: list[tuple[NDArray[np.float64], list[str]]] = []
+    for rung, place in zip(rungs, places, strict=True):
+        together = next((names for first, names in named if np.abs(first - place).max() < TOGETHER), None)
+        if together is None:
+            named.append((place, [rung]))
+        else:
+            together.append(rung)
+    for (x, y), names in named:
+        axes.annotate(
+            "\n".join(names), (x, y), xycoords="axes fraction", textcoords="offset points", fontsize="small",
+            xytext=(6 if x < 0.5 else -6, 0), ha="left" if x < 0.5 else "right", va="bottom" if y < 0.5 else "top",
+        )  # fmt: skip
 
 
 def stability(path: Path) -> None:
