@@ -3,7 +3,7 @@ import math
 import pytest
 import torch
 
-from diffrender.numerics import b_splines, decayed_length, erfcx, lookup, mean_decay, opacity, safe_sqrt
+from diffrender.numerics import atan_lack, b_splines, decayed_length, erfcx, lookup, mean_decay, opacity, safe_sqrt
 
 TABLE = torch.rand(4, 5, 3, generator=torch.Generator().manual_seed(1), dtype=torch.float64)
 
@@ -157,14 +157,26 @@ def test_safe_sqrt_in_float32_loses_few_bits(way):
     assert few_bits_lost(ulps(way, safe_sqrt, bit_patterns(1e-30, 1e30)))
 
 
-@pytest.mark.parametrize("function", [mean_decay, safe_sqrt])
+@pytest.mark.parametrize("way", WAYS)
+def test_atan_lack_is_its_definition_far_out_and_its_series_near_zero(way):
+    near, far = torch.tensor([0.0, 1e-9, 0.05, 0.19999], dtype=torch.float64), torch.tensor([0.2, 1.0, 70.0]).double()
+    series = sum((-1) ** k * near ** (2 * k) / (2 * k + 3) for k in range(20))
+    torch.testing.assert_close(atan_lack(near), series, rtol=1e-13, atol=0.0)
+    torch.testing.assert_close(atan_lack(far), (far - torch.atan(far)) / far**3, rtol=1e-13, atol=0.0)
+    slopes = sum((-1) ** k * 2 * k * near ** (2 * k - 1) / (2 * k + 3) for k in range(1, 20))
+    torch.testing.assert_close(way(atan_lack, near), slopes, rtol=1e-10, atol=0.0)
+    x = torch.tensor([1e-20, 0.1, 0.199, 0.201, 3.0, 1e4])
+    torch.testing.assert_close(way(atan_lack, x).double(), way(atan_lack, x.double()), rtol=1e-3, atol=1e-12)
+
+
+@pytest.mark.parametrize("function", [mean_decay, safe_sqrt, atan_lack])
 def test_not_a_number_stays_one(function):
     assert function(torch.tensor(math.nan)).isnan()
 
 
-@pytest.mark.parametrize("function", [mean_decay, safe_sqrt])
+@pytest.mark.parametrize("function", [mean_decay, safe_sqrt, atan_lack])
 def test_gradients_match_finite_differences(function):
-    x = torch.tensor([0.01, 0.2, 0.3, 3.0], dtype=torch.float64, requires_grad=True)
+    x = torch.tensor([0.01, 0.19, 0.3, 3.0], dtype=torch.float64, requires_grad=True)
     assert torch.autograd.gradcheck(function, x, check_forward_ad=True, check_batched_grad=True)
 
 
