@@ -7,7 +7,7 @@ import torch
 from diffrender.numerics import gauss_legendre
 from diffrender.parameters import defaults
 from diffrender.rays import from_angles
-from diffrender.shading import brdf, light_bending, microfacet, sphere_light
+from diffrender.shading import brdf, light_bending, microfacet, risen_sphere, sphere_light
 from diffrender.shading.brdf import Geometry
 from diffrender.shading.sphere_light_reference import summed
 from diffrender.shading.sphere_surface import SphereLight, SphereView, example_inputs
@@ -164,9 +164,52 @@ def test_cosine_of_a_rising_sphere_is_that_of_what_is_above(sine):
         rise = math.asin(height * sine)
         cosine = torch.cos(off)[:, None] * math.sin(rise) + torch.sin(off)[:, None] * math.cos(rise) * torch.cos(turn)
         summed_up = (cosine.clamp(min=0.0).mean(-1) * torch.sin(off) * weight).sum() * math.pi * math.asin(sine)
-        over = sphere_light.sphere_over(lamp(sine), surface(seen_at(math.degrees(rise)), UP, 0.5, distance=1.0))
-        found = float(sphere_light.risen_cosine(over)) * math.pi * sine * sine
-        assert found == pytest.approx(float(summed_up), abs=(0.002 + 0.03 * sine * sine) * math.pi * sine**3)
+        found = float(risen_sphere.mean_cosine(number(height * sine), number(sine))) * math.pi * sine * sine
+        assert found == pytest.approx(float(summed_up), rel=1e-3, abs=3e-6 * sine**3)
+
+
+@pytest.mark.parametrize("dtype", [torch.float32, FLOAT])
+def test_mean_cosine_of_a_small_sphere_is_that_of_a_disc_and_ends_without_a_kink(dtype):
+    sine = number(1e-5, dtype)
+    place = number([-1.0, -0.999, -0.5, 0.0, 0.5, 0.999, 1.0], dtype).requires_grad_()
+    found = risen_sphere.mean_cosine(place * sine, sine) / sine
+    p = place.detach().double()
+    edge = torch.sqrt(1.0 - p * p)
+    torch.testing.assert_close(
+        found.double(), (p * torch.acos(-p) + edge * (2.0 + p * p) / 3.0) / math.pi, rtol=1e-5, atol=1e-6
+    )
+    (slope,) = torch.autograd.grad(found.sum(), place)
+    share = (torch.acos(-p) + p * edge) / math.pi  # of the disc that is above
+    torch.testing.assert_close(slope[1:].double(), share[1:], rtol=1e-3, atol=1e-4)
+
+
+@pytest.mark.parametrize("sine", [0.003, 0.6])
+def test_facets_of_a_whole_sphere_are_ggx_summed_over_it(sine):
+    draw = torch.Generator().manual_seed(4)
+    height, eye_height, turn, roughness = torch.rand(4, 60, generator=draw, dtype=FLOAT)
+    light = from_angles(torch.asin(sine + (1.0 - sine) * height), 0.0 * turn)
+    eye = from_angles(torch.asin(0.02 + 0.98 * eye_height), 2.0 * math.pi * turn)
+    shape = {"base": torch.ones(3, dtype=FLOAT), "roughness": roughness, "metallic": torch.ones(60, dtype=FLOAT)}
+    view = SphereView(-light, UP.expand(60, 3), eye, **shape, centre=torch.zeros(3, dtype=FLOAT))
+
+    def never_hidden(cos_eye, cos_light, spread_square):
+        return torch.ones_like(cos_eye + cos_light + spread_square)
+
+    found = sphere_light.render(lamp(sine), view, never_hidden)
+    torch.testing.assert_close(found, summed(lamp(sine), view, (48, 96), never_hidden), rtol=1e-6, atol=0.0)
+
+
+@pytest.mark.parametrize("roughness", [0.05, 0.3, 0.8])
+def test_a_sphere_sets_without_a_jump_and_is_gone_when_it_has(roughness):
+    touching = math.degrees(math.asin(0.15))
+
+    def at(degrees):
+        return sphere_light.render(lamp(0.3), surface(seen_at(degrees), seen_at(20.0, 170.0), roughness, metallic=0.5))
+
+    torch.testing.assert_close(at(touching - 1e-6), at(touching + 1e-6), rtol=1e-5, atol=0.0)
+    nearly, gone = at(0.02 - touching), at(-1e-6 - touching)
+    assert 0.0 < nearly.max() < 1e-3 * at(touching).max()
+    assert not gone.any()
 
 
 @pytest.mark.parametrize("rung", ["Karis' point", "guarded step", "smaller when rough"])
