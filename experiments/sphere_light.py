@@ -1,16 +1,17 @@
-"""How well one point stands for a light that is a sphere: where it is put, how bright it is, and how it looks.
+"""How well one point, or one facet, stands for a light that is a sphere: where it is, how bright, and how it looks.
 
 Places: the largest (N·H)² over the sphere by brute force, less that of each way, for eyes and lights of all directions
 and for grazing ones, with the sphere whole above the horizon and the mirror's direction outside it.
 
-Radiance: every renderer against sums over the sphere, by roughness and size, for lights and eyes from 10 degrees up;
-the error is of a highlight: its root of the mean square over that of the sums.
+Radiance: every renderer against sums over the sphere, by material, roughness and size, for lights from 10 and eyes
+from 2 degrees up; the error is of a highlight: its root of the mean square over that of the sums. For spheres that are
+above the horizon as a whole also the largest error of a place in its own value.
 
 White furnace: what a white surface sends under a sphere that fills the sky, by sums, for each BRDF. Rough facets lose
 what they would scatter twice; none may send more than it gets.
 
 The picture: a plain that mirrors a low sphere at a grazing angle, smoother on top; in columns Karis' point, the talk's
-step, the guarded one, smaller when rough, mean brightness, and sums.
+step, the guarded one, smaller when rough, mean brightness, mean facet, and sums.
 """
 
 import argparse
@@ -39,9 +40,10 @@ SETS = ((SUN, "all"), (0.05, "all"), (0.2, "all"), (0.5, "all"), (0.05, "grazing
 CASES, SMALL_CASES = 50_000, 500
 TURNS, SMALL_TURNS = 720, 90  # of the brute force
 ROUGHNESSES = (0.02, 0.1, 0.2, 0.4, 0.6, 0.8, 1.0)
-SINES = (SUN, 0.05, 0.2, 0.5)
+SINES, SMALL_SINES = (SUN, 0.05, 0.2, 0.5), (0.2,)
 ELEVATIONS = (10.0, 25.0, 50.0, 80.0)  # of the light [degrees]
 SIDES = (0.0, 0.3, 0.6, 0.9, 1.1, 1.4, 2.0, 3.0)  # of the eye from the mirror's place, in radii and facets' spreads
+METALS = (1.0, 0.0)
 LOWEST = 2.0  # elevation of the eye [degrees]
 NODES, SMALL_NODES = (64, 128), (24, 48)
 FURNACE_NODES, SMALL_FURNACE_NODES = (192, 384), (48, 96)
@@ -67,12 +69,19 @@ class Placed:
 
 @dataclass(frozen=True)
 class Shone:
-    """Error of a renderer's highlight, in the highlight's own root of the mean square."""
+    """Error of a renderer's highlight, in the highlight's own root of the mean square.
+
+    Attributes:
+        metallic: 1 for white metal, 0 for black varnish.
+        largest_whole: of a place that sees all of the sphere above its horizon, in its own value.
+    """
 
     sine: float
     roughness: float
+    metallic: float
     rung: str
     error: float
+    largest_whole: float
 
 
 @dataclass(frozen=True)
@@ -193,12 +202,16 @@ def _white(position: Tensor, to_eye: Tensor, roughness: float) -> SphereView:
 
 def shone(sine: float, roughness: float, nodes: tuple[int, int]) -> list[Shone]:
     """Error of every renderer on highlights of a size and roughness."""
-    light, view = SphereLight(number(sine), number([1.0, 1.0, 1.0])), highlights(sine, roughness)
-    truth = summed(light, view, nodes)[..., 0]
+    light, metal = SphereLight(number(sine), number([1.0, 1.0, 1.0])), highlights(sine, roughness)
+    is_whole = -metal.position[:, 2] > sine
     rows = []
-    for name, rung in EFFECT.rungs.items():
-        apart = rung(light, view)[..., 0] - truth
-        rows.append(Shone(sine, roughness, name, float((apart.square().mean() / truth.square().mean()).sqrt())))
+    for metallic in METALS:
+        view = replace(metal, base=metallic * metal.base, metallic=number(metallic))
+        truth = summed(light, view, nodes)[..., 0]
+        for name, rung in EFFECT.rungs.items():
+            apart = rung(light, view)[..., 0] - truth
+            error = float((apart.square().mean() / truth.square().mean()).sqrt())
+            rows.append(Shone(sine, roughness, metallic, name, error, float((apart / truth)[is_whole].abs().max())))
     return rows
 
 
@@ -250,9 +263,10 @@ def main(arguments: Sequence[str] | None = None) -> None:
     is_small = given.size == "small"
     cases, turns, nodes = (SMALL_CASES, SMALL_TURNS, SMALL_NODES) if is_small else (CASES, TURNS, NODES)
     places = [one for sine, directions in SETS for one in placed(sine, directions, cases, turns)]
-    lit = [one for sine in SINES for roughness in ROUGHNESSES for one in shone(sine, roughness, nodes)]
+    lit = [one for sine in (SMALL_SINES if is_small else SINES)
+           for roughness in ROUGHNESSES for one in shone(sine, roughness, nodes)]  # fmt: skip
     print(records.table(["sine, directions, way", "mean", "largest", "worse than Karis"], _place_rows(places)))
-    print(records.table(["sine, roughness", *EFFECT.rungs], _light_rows(lit)))
+    print(records.table(["sine, roughness, metal", *EFFECT.rungs, "its largest where whole"], _light_rows(lit)))
     white = furnace(SMALL_FURNACE_NODES if is_small else FURNACE_NODES)
     print(records.table(["BRDF, metal, roughness", *map(str, FURNACE_ELEVATIONS)], _furnace_rows(white)))
     tables: Mapping[str, Sequence[Placed | Shone | Sent]] = {"places": places, "radiance": lit, "furnace": white}
@@ -271,7 +285,14 @@ def _place_rows(places: Sequence[Placed]) -> list[list[str]]:
 def _light_rows(lit: Sequence[Shone]) -> list[list[str]]:
     count = len(EFFECT.rungs)
     groups = [lit[start : start + count] for start in range(0, len(lit), count)]
-    return [[f"{g[0].sine:g}, {g[0].roughness:g}", *(f"{one.error:.3f}" for one in g)] for g in groups]
+    return [
+        [
+            f"{g[0].sine:g}, {g[0].roughness:g}, {g[0].metallic:g}",
+            *(f"{one.error:.3f}" for one in g),
+            f"{g[-1].largest_whole:.3f}",
+        ]
+        for g in groups
+    ]
 
 
 def _furnace_rows(white: Sequence[Sent]) -> list[list[str]]:

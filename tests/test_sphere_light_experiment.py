@@ -17,10 +17,16 @@ def test_places_radiance_furnace_and_picture_are_told(tmp_path, capsys):
         assert guarded["worse_than_karis"] == 0.0
         assert guarded["largest"] < karis["largest"]
     assert max(row["worse_than_karis"] for row in content["places"]) > 0.05
-    errors = {(row["sine"], row["roughness"], row["rung"]): row["error"] for row in content["radiance"]}
+    errors = {
+        (row["sine"], row["roughness"], row["metallic"], row["rung"]): (row["error"], row["largest_whole"])
+        for row in content["radiance"]
+    }
     last = list(EFFECT.rungs)[-1]
-    assert all(error < 0.5 for (_, _, rung), error in errors.items() if rung == last)
-    assert errors[0.2, 0.2, last] < 0.1 * errors[0.2, 0.2, "Karis' point"]
+    # Sums of the small size have too few nodes for smoother surfaces.
+    ours = {at[:3]: found for at, found in errors.items() if at[3] == last and at[1] >= 0.1}
+    assert max(error for error, _ in ours.values()) < 0.4
+    assert max(largest for _, largest in ours.values()) < 0.04
+    assert ours[0.2, 0.2, 1.0][0] < 0.05 * errors[0.2, 0.2, 1.0, "Karis' point"][0]
     assert all(0.1 < row["share"] < 1.002 for row in content["furnace"])
     assert all(row["share"] > 0.95 for row in content["furnace"] if row["roughness"] == 0.0 and row["elevation"] > 5.0)
     assert (tmp_path / "sphere_light.png").stat().st_size > 1000
@@ -31,9 +37,11 @@ def test_sums_agree_with_mitsuba_within_its_noise(tmp_path):
     if importlib.util.find_spec("mitsuba") is None:
         pytest.skip("mitsuba is not installed (extra `experiments`)")
     mitsuba_lamp.main(["--size", "small", "--out", str(tmp_path)])
-    rows = json.loads((tmp_path / "mitsuba_lamp.json").read_text())["records"]
-    assert len(rows) == 60
+    content = json.loads((tmp_path / "mitsuba_lamp.json").read_text())
+    rows = content["records"]
+    assert len(rows) == 75
     assert all(abs(row["summed"] - row["mitsuba"]) < 5.0 * row["noise"] + 1e-4 * row["summed"] for row in rows)
+    assert all(row["within"] == row["places"] for row in content["classes"] if row["is_whole"])
 
 
 def test_hard_lamps_are_as_many_as_the_examples():
