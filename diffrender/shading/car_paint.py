@@ -27,23 +27,19 @@ Gradient: exact but for which flake is seen, as of `flakes` and `clear_coat`.
 
 import math
 from collections.abc import Callable
-from functools import cache
 
 import torch
 from jaxtyping import Float
 from torch import Tensor
 
 from diffrender.effect import Effect, Rung
-from diffrender.numerics import gauss_legendre
 from diffrender.shading import brdf, clear_coat, flakes
 from diffrender.shading.brdf import Geometry
 from diffrender.shading.car_paint_reference import reference
-from diffrender.shading.microfacet import fifth_power
 from diffrender.shading.painted_surface import CarPaint, CarPaintView, example_inputs
 from diffrender.surfaces import Surface
 
 VARNISH = 1.5  # index of refraction
-_NODES = 16  # of means over directions
 
 Density = Callable[[CarPaint, CarPaintView, Tensor], Tensor]  # of flakes about a slope
 
@@ -107,7 +103,7 @@ def within(cosine: Float[Tensor, "*batch"]) -> Float[Tensor, "*batch"]:
 
 def entered(paint: CarPaint, view: CarPaintView) -> Float[Tensor, "*batch 3"]:
     """Mean of what `left` of the lights and the sky, weighed by what they give the ground; 1 where all is dark."""
-    cosine, weight = (one.to(view.normal) for one in _nodes())
+    cosine, weight = (one.to(view.normal) for one in clear_coat.to_ground_nodes())
     through = clear_coat.crossed(VARNISH, paint.coat_roughness, cosine)[:, None]
     through = through * torch.exp(-paint.coat_depth / within(cosine)[:, None])
     sky, up = view.lights.sky, view.normal[..., 2:]
@@ -115,8 +111,7 @@ def entered(paint: CarPaint, view: CarPaintView) -> Float[Tensor, "*batch 3"]:
     given = even.sum(0) * sky.mean + along.sum(0) * up * sky.gradient
     passed = (even * through).sum(0) * sky.mean + (along * through).sum(0) * up * sky.gradient
     for to_light, irradiance in zip(view.lights.to_light, view.lights.irradiance, strict=True):
-        light = (view.normal * to_light).sum(-1).clamp(0.0, 1.0)
-        ground = irradiance * (light * (1.0 - fifth_power(1.0 - light)) / math.pi)[..., None]
+        ground = irradiance * clear_coat.to_ground(view.normal, to_light)[..., None]
         given, passed = given + ground, passed + ground * left(paint, view, to_light)
     is_dark = given <= 0.0
     return torch.where(is_dark, torch.ones_like(given), passed / torch.where(is_dark, torch.ones_like(given), given))
@@ -162,14 +157,6 @@ def _towards(view: CarPaintView, to_light: Tensor) -> Geometry:
 def _beside(view: CarPaintView) -> Tensor:
     beside: Tensor = torch.linalg.cross(view.normal, view.tangent)
     return beside
-
-
-@cache
-def _nodes() -> tuple[Tensor, Tensor]:
-    """Cosines and weights of means over directions of what crosses the basic material's surface to its ground."""
-    place, weight = gauss_legendre(_NODES)
-    cosine = 0.5 + 0.5 * place
-    return cosine, weight * cosine * (1.0 - fifth_power(1.0 - cosine))
 
 
 def largest_change(paint: CarPaint, view: CarPaintView) -> Float[Tensor, ""]:

@@ -1,11 +1,8 @@
 """Car paint by slow and plain means: light is traced through the varnish by angles, and summed over sky and facets.
 
-The coat's facets are Walter's [1] by the tangent of their angle with Smith's function, their Fresnel by the angles of
-incidence and refraction. What flakes send to an eye is how densely traced rays of one light come out about it, by the
-determinant of the tracing, which is differentiated. The base coat is the basic material, which is not under test, under
-one light at a time and under every part of the sky; which flake lies where is given too.
-
-[1] B. Walter et al., "Microfacet Models for Refraction through Rough Surfaces", EGSR 2007, section 5.
+The coat is that of `clear_coat_reference`. What flakes send to an eye is how densely traced rays of one light come out
+about it, by the determinant of the tracing, which is differentiated. The base coat is the basic material, which is not
+under test, under one light at a time and under every part of the sky; which flake lies where is given too.
 """
 
 import math
@@ -16,7 +13,8 @@ from torch import Tensor
 
 from diffrender.shading import brdf, flakes
 from diffrender.shading.brdf import Geometry
-from diffrender.shading.microfacet import LEAST_COSINE, MIRROR_SPREAD
+from diffrender.shading.clear_coat_reference import crossed, facets, fresnel, mirrored
+from diffrender.shading.microfacet import LEAST_COSINE
 from diffrender.shading.painted_surface import CarPaint, CarPaintView
 
 _INDEX = 1.5
@@ -35,7 +33,7 @@ def reference(paint: CarPaint, view: CarPaintView) -> Float[Tensor, "*batch 3"]:
     for to_light, irradiance in zip(view.lights.to_light, view.lights.irradiance, strict=True):
         light = torch.einsum("...ij,...j", frame, to_light.expand_as(view.normal))
         cosine = light[..., 2].clip(0, 1)
-        total = total + irradiance * (_coat(paint, eye, light) * cosine)[..., None]
+        total = total + irradiance * (mirrored(_INDEX, paint.coat_roughness, eye, light) * cosine)[..., None]
         entered = irradiance * _through(paint, light)
         ground = brdf.reflected(_matt(paint, eye), Geometry(_up(eye), eye, light))
         flaked = paint.flake_colour * (_glint(paint, view, eye, light) * cosine)[..., None]
@@ -52,60 +50,11 @@ def _matt(paint: CarPaint, eye: Tensor) -> brdf.Material:
     return brdf.material(paint.base.expand_as(eye), one, 0 * one)
 
 
-def _fresnel(index: float, angle: Tensor) -> Tensor:
-    """Of unpolarised light by its angle of incidence and that of refraction."""
-    # Not straight down, where both are 0.
-    angle = angle.clip(min=1e-5)
-    bent = torch.asin(torch.sin(angle) / index)
-    across = torch.sin(angle - bent) / torch.sin(angle + bent)
-    within = torch.tan(angle - bent) / torch.tan(angle + bent)
-    return (across**2 + within**2) / 2
-
-
-def _hidden(cosine: Tensor, spread: Tensor) -> Tensor:
-    """Smith's Lambda of GGX."""
-    return 0.5 * (torch.sqrt(1 + spread**2 * (1 / cosine**2 - 1)) - 1)
-
-
-def _coat(paint: CarPaint, eye: Tensor, light: Tensor) -> Tensor:
-    """BRDF of the coat's surface."""
-    spread = torch.sqrt(paint.coat_roughness**4 + MIRROR_SPREAD**2)
-    risen = light[..., 2] > 0
-    light = torch.where(risen[..., None], light, _up(light))
-    half = (eye + light) / (eye + light).norm(dim=-1, keepdim=True)
-    tangent = half[..., :2].norm(dim=-1) / half[..., 2]
-    facets = 1 / (math.pi * spread**2 * half[..., 2] ** 4 * (1 + (tangent / spread) ** 2) ** 2)
-    seen = 1 / (1 + _hidden(eye[..., 2], spread) + _hidden(light[..., 2], spread))
-    angle = torch.acos((half * eye).sum(-1).clip(0, 1))
-    found = _fresnel(_INDEX, angle) * facets * seen / (4 * eye[..., 2] * light[..., 2])
-    return torch.where(risen, found, 0 * found)
-
-
-def _facets(paint: CarPaint, eye: Tensor) -> tuple[Tensor, Tensor]:
-    """Weights of facets as an eye meets them with the coat's Fresnel, and the directions that they mirror it to."""
-    spread = torch.sqrt(paint.coat_roughness**4 + MIRROR_SPREAD**2)
-    share = ((torch.arange(_SHARES, dtype=eye.dtype) + 0.5) / _SHARES)[:, None]
-    turn = (torch.arange(_TURNS, dtype=eye.dtype) + 0.5) * (2 * math.pi / _TURNS)
-    tangent = spread * torch.sqrt(1 / share**3 - 1)
-    cosine = 1 / torch.sqrt(1 + tangent**2)
-    sine = tangent * cosine
-    facet = torch.stack([sine * torch.cos(turn), sine * torch.sin(turn), cosine.expand(-1, _TURNS)], -1)
-    towards = eye[..., None, None, :]
-    cos_half = (facet * towards).sum(-1)
-    light = 2 * cos_half[..., None] * facet - towards
-    seen = (cos_half > 0) & (light[..., 2] > 0)
-    risen = torch.where(seen, light[..., 2], 1 + 0 * cos_half)
-    reach = 1 / (1 + _hidden(towards[..., 2], spread) + _hidden(risen, spread))
-    weight = 3 * share**2 * reach * cos_half / (towards[..., 2] * cosine) / (_SHARES * _TURNS)
-    weight = weight * _fresnel(_INDEX, torch.acos(cos_half.clip(0, 1)))
-    return torch.where(seen, weight, 0 * weight), light
-
-
 def _through(paint: CarPaint, direction: Tensor) -> Tensor:
     """Share that crosses the coat's surface and depth from or to a direction."""
     direction = torch.cat([direction[..., :2], direction[..., 2:].clip(LEAST_COSINE, 1)], -1)
     length = direction / direction.norm(dim=-1, keepdim=True)
-    surface = 1 - _facets(paint, length)[0].sum((-2, -1))
+    surface = crossed(_INDEX, paint.coat_roughness, direction)
     bent = torch.asin(torch.sin(torch.acos(length[..., 2].clip(0, 1))) / _INDEX)
     return surface[..., None] * torch.exp(-paint.coat_depth / torch.cos(bent)[..., None])
 
@@ -118,7 +67,7 @@ def _sky(view: CarPaintView, frame: Tensor, direction: Tensor) -> Tensor:
 
 
 def _coat_of_sky(paint: CarPaint, view: CarPaintView, frame: Tensor, eye: Tensor) -> Tensor:
-    weight, light = _facets(paint, eye)
+    weight, light = facets(_INDEX, paint.coat_roughness, eye)
     return (weight[..., None] * _sky(view, frame, light)).sum((-3, -2))
 
 
@@ -190,7 +139,7 @@ def _flakes_of_sky(paint: CarPaint, view: CarPaintView, frame: Tensor, eye: Tens
     sine = _INDEX * light[..., :2].norm(dim=-1)
     leaves = (sine < 1) & (light[..., 2] > 0) & (facing > 0)
     outside = torch.cat([_INDEX * light[..., :2], torch.cos(torch.asin(sine.clip(max=1)))[..., None]], -1)
-    crossed = (1 - _fresnel(_INDEX, torch.asin(sine.clip(max=1)))) * facing / (_SHARES * _TURNS)
+    through = (1 - fresnel(_INDEX, torch.asin(sine.clip(max=1)))) * facing / (_SHARES * _TURNS)
     depth = torch.exp(-paint.coat_depth / light[..., 2:].abs())
-    found = torch.where(leaves[..., None], crossed[..., None] * depth * _sky(view, frame, outside), 0 * outside)
+    found = torch.where(leaves[..., None], through[..., None] * depth * _sky(view, frame, outside), 0 * outside)
     return paint.flake_colour * found.sum((-3, -2))

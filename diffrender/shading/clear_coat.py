@@ -16,12 +16,13 @@ import torch
 from jaxtyping import Float, Float64
 from torch import Tensor
 
-from diffrender.numerics import lookup
+from diffrender.numerics import gauss_legendre, lookup
 from diffrender.shading.brdf import Geometry, cosines
-from diffrender.shading.microfacet import LEAST_COSINE, fresnel_exact, ggx, spread_squared, visible_smith
+from diffrender.shading.microfacet import LEAST_COSINE, fifth_power, fresnel_exact, ggx, spread_squared, visible_smith
 from diffrender.surfaces import EvenSky
 
 _COSINES, _ROUGHNESSES = 65, 33  # of the table
+_NODES = 16  # of means over directions
 _SHARES, _TURNS = 48, 24  # nodes of the quadrature over facets
 
 
@@ -53,8 +54,22 @@ def crossed(index: float, roughness: Float[Tensor, "*#batch"], cosine: Float[Ten
     return 1.0 - moments(index, roughness, cosine.clamp(LEAST_COSINE, 1.0))[..., 0]
 
 
+def to_ground(normal: Float[Tensor, "*#batch 3"], to_light: Float[Tensor, "*#batch 3"]) -> Float[Tensor, "*batch"]:
+    """Radiance of a white diffuse ground of the basic material over a light's irradiance [1/sr], but for constants."""
+    cosine = (normal * to_light).sum(-1).clamp(0.0, 1.0)
+    return cosine * (1.0 - fifth_power(1.0 - cosine)) / math.pi
+
+
+@cache
+def to_ground_nodes() -> tuple[Tensor, Tensor]:
+    """Cosines and weights of the same over an even sky of radiance 1."""
+    place, weight = gauss_legendre(_NODES)
+    cosine = 0.5 + 0.5 * place
+    return cosine, weight * cosine * (1.0 - fifth_power(1.0 - cosine))
+
+
 def bent(
-    index: float, normal: Float[Tensor, "*#batch 3"], towards: Float[Tensor, "*#batch 3"]
+    index: float | Float[Tensor, ""], normal: Float[Tensor, "*#batch 3"], towards: Float[Tensor, "*#batch 3"]
 ) -> Float[Tensor, "*batch 3"]:
     """Unit direction inside the body that leads to one outside, by Snell's law.
 
