@@ -29,6 +29,7 @@ from diffrender.geometry.fractal_shapes import Fractal
 from diffrender.parameters import Specification, names, parameter, record, specifications
 from diffrender.rays import Rays, from_angles
 from diffrender.shading.basic_material import BasicMaterial
+from diffrender.shading.eye_ball import Eye
 from diffrender.shading.lamps import LocalLights
 from diffrender.shading.painted_surface import CarPaint
 from diffrender.shading.skin_view import Skin
@@ -63,6 +64,7 @@ class Scene:
     skin: Skin | None = None
     transparent: Transparent | None = None
     car_paint: CarPaint | None = None
+    eye: Eye | None = None
     rain: Rain | None = None
     local_lights: LocalLights | None = None
     sphere_light: SphereLight | None = None

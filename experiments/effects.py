@@ -31,6 +31,8 @@ from diffrender.parameters import defaults, names, specifications, to_cube
 from diffrender.rays import Camera, Equirectangular, Perspective, Rays, angles, from_angles, pixel_centres
 from diffrender.shading import basic_material
 from diffrender.shading.basic_material import MaterialView
+from diffrender.shading.eye_ball import EyeView
+from diffrender.shading.eye_ball import example_inputs as eye_examples
 from diffrender.shading.lamps import LitView
 from diffrender.shading.lamps import example_inputs as lit_examples
 from diffrender.shading.painted_surface import CarPaintView
@@ -46,6 +48,7 @@ from diffrender.shading.wet_surface import example_inputs as wet_examples
 from experiments import (
     ball,
     car_paint_scene,
+    eye_scene,
     lamp_plain,
     lamp_scenes,
     rain_street,
@@ -189,6 +192,7 @@ PICTURES: Mapping[str, Callable[[int, int], Any]] = {
     "skin": skin_scene.picture_view,
     "transparent": transparent_scene.picture_view,
     "car paint": car_paint_scene.picture_view,
+    "eye": eye_scene.picture_view,
     "local lights": _lit_picture,
     "sphere light": _sphere_picture,
     "fractal": _bulb_picture,
@@ -337,6 +341,19 @@ def _hard_paint() -> dict[str, CarPaintView]:
     return found | {"eye at the horizon": replace(seen, to_eye=level), "from very far": far}
 
 
+def _hard_eyes() -> dict[str, EyeView]:
+    """By a grazing eye, straight down on every place, and under lights at the horizon and behind the ball."""
+    seen = eye_examples(torch.float64)
+    up = (seen.normal * seen.to_eye).sum(-1, keepdim=True)
+    level = torch.nn.functional.normalize(seen.to_eye - (up - 1e-3) * seen.normal, dim=-1)
+    towards = {"lights at the horizon": level[:2], "lights behind": -seen.gaze[:2]}
+    found = {name: replace(seen, lights=replace(seen.lights, to_light=one)) for name, one in towards.items()}
+    return found | {
+        "eye at the horizon": replace(seen, to_eye=level),
+        "straight down": replace(seen, to_eye=seen.normal),
+    }
+
+
 def _hard_lamps() -> dict[str, LitView]:
     """Lamps on the surface and just above it, at the eye's mirror, and by grazing eyes."""
     seen = lit_examples(torch.float64)
@@ -382,6 +399,7 @@ HARD: Mapping[str, Callable[[], Mapping[str, Any]]] = {
     "skin": _hard_skin,
     "transparent": _hard_layers,
     "car paint": _hard_paint,
+    "eye": _hard_eyes,
     "local lights": _hard_lamps,
     "rain": lambda: {name: in_dtype(view, torch.float64) for name, view in rain_street.hard_views().items()},
     "sphere light": _hard_spheres,
