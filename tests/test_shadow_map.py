@@ -124,36 +124,10 @@ def test_comparison_has_the_gradient_of_its_differences():
     assert torch.autograd.grad(compare(*leaves).sum(), leaves[2])[0] < -0.01
 
 
-@pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
-def test_blurred_shadow_is_dark_behind_the_ball_and_lit_elsewhere(dtype):
-    seen = type(SEEN)(**{name: v.to(dtype) if isinstance(v, torch.Tensor) else v for name, v in vars(SEEN).items()})
-    moments = shadow_map.blurred(ball_map(SEEN).to(dtype), 4)
-    axis = BALL - SUN * torch.linspace(1.5, 4.0, 20).double()[:, None]
-    assert (shadow_map.blurred_visibility(moments, seen, axis.to(dtype)) < 0.05).all()
-    lit = ground()[shade(ground()) > 1.5]
-    assert (shadow_map.blurred_visibility(moments, seen, lit.to(dtype) + 0.05) > 0.9).all()
-    above = (BALL + 2.0 * SUN).to(dtype)
-    assert shadow_map.blurred_visibility(moments, seen, above) == 1.0
-
-
-def test_blurred_shadow_is_smooth_across_its_edge_and_has_a_gradient():
-    moments = shadow_map.blurred(ball_map(SEEN), 6)
-    side = torch.linalg.cross(SUN, UP)
-    across = torch.linspace(0.5, 1.6, 100).double()[:, None]
-    line = (BALL - 3.0 * SUN + across * side / side.norm()).requires_grad_()
-    seen = shadow_map.blurred_visibility(moments, SEEN, line)
-    assert seen[0] < 0.1 < 0.9 < seen[-1]
-    assert seen.diff().abs().max() < 0.2
-    (slope,) = torch.autograd.grad(seen.sum(), line)
-    assert slope.isfinite().all()
-    assert (slope.norm(dim=-1) > 0.1).any()
-
-
 def test_all_is_lit_off_the_map():
     heights = torch.full((512, 512), 1e3).double()
     far = SEEN.middle + 600.0 * SEEN.texel * SEEN.right
     assert shadow_map.visibility(heights, SEEN, far, number(0.0), number(0.1)) == 1.0
-    assert shadow_map.blurred_visibility(shadow_map.blurred(heights, 1), SEEN, far) == 1.0
 
 
 def test_cascades_give_way_to_the_next_over_their_last_tenth():

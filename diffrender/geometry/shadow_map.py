@@ -1,16 +1,17 @@
-"""Shadows of the sun by depth maps in cascades: where each looks, and what lies in shadow, hard, soft or blurred.
+"""Shadows of the sun by depth maps in cascades: where each looks, and what lies in shadow, by soft comparison.
 
 The view is cut by depth [1]. Each piece lies in a sphere, whose radius hangs on the camera's lens alone, so that a
 square map round it keeps its size while the camera turns; its middle is moved to whole texels, so that the map's texels
 stay where they are in the world while the camera moves, and edges of shadows do not crawl. Maps hold, from the sun's
 plane through the middle of the sphere, the height of what first catches its light: [m], more is nearer to the sun.
 
+Effects that the sun lights take its shadow as an input: the share that is found here dims their irradiance, place by
+place, as that of `wetness`. Fog, whose cells are larger than texels, takes shadows that `froxel_shadow` has blurred.
+
 Gradient: visibility is differentiable in the map, the place and the softness, where a hard comparison is in none of
 them. Cascades themselves are decided from detached numbers.
 
 [1] F. Zhang et al., "Parallel-Split Shadow Maps for Large-scale Virtual Environments", VRCIA 2006.
-[2] W. Donnelly, A. Lauritzen, "Variance Shadow Maps", I3D 2006, equation 5.
-[3] M. Miyamoto, R. Driancourt, "Rendering Techniques of Final Fantasy XV", SIGGRAPH 2016, slide "Volumetrics".
 """
 
 import math
@@ -21,13 +22,12 @@ from jaxtyping import Float
 from torch import Tensor
 
 from diffrender.geometry.light_grid import Depths
-from diffrender.numerics import lookup, smooth_rise
+from diffrender.images import share_above
+from diffrender.numerics import smooth_rise
 from diffrender.parameters import record
 from diffrender.rays import Rays
 
-TAPS = (-1.0, 0.0, 1.0)  # of soft shadows, along each side [texels]
 BLEND = 0.1  # share of a cascade's depths over which it gives way to the next
-_LEAST_VARIANCE = 1e-4  # of heights in a texel [m²]: without it flat ground shades itself where rounding wins
 
 
 @record
@@ -107,48 +107,21 @@ def visibility(
     bias: Float[Tensor, "*#batch"],
     softness: Float[Tensor, "*#batch"],
 ) -> Float[Tensor, "*batch"]:
-    """Share of the sun that reaches places: mean of soft comparisons with nine texels round each.
+    """Share of the sun that reaches places: mean of soft comparisons with 3 × 3 texels round each.
 
     A place is in shadow by a sigmoid of how far it lies below what the map saw, over the softness [m], less a bias [m]
-    that lifts it off the surface itself: for a slope the texel times the tangent of its angle to the sun. As the
-    softness goes to 0 it is percentage closer filtering, and has no gradient. Off the map all is lit.
+    that lifts it off the surface itself: for a slope the texel times the tangent of its angle to the sun. Off the map
+    all is lit.
     """
     row, column, height = on_map(seen, position).unbind(-1)
-    total = torch.zeros_like(height)
-    for down in TAPS:
-        for across in TAPS:
-            caught = lookup(heights, row + down, column + across)
-            total = total + torch.sigmoid((height + bias - caught) / softness)
-    return _on_it(seen, row, column, total / len(TAPS) ** 2)
+    last = seen.resolution - 1
 
+    def texel(down: Tensor, across: Tensor) -> Tensor:
+        return heights[down.clamp(0, last), across.clamp(0, last)]
 
-def blurred(heights: Float[Tensor, "rows rows"], radius: int) -> Float[Tensor, "rows rows 2"]:
-    """Mean and variance of a map's heights over squares of 2 radius + 1 texels, for `blurred_visibility` [m], [m²]."""
-    # About the whole map's mean: squares of large heights have no digits left for their variance.
-    level = heights.mean()
-    moments = torch.stack([heights - level, (heights - level).square()], -1)
-    size = len(heights)
-    for axis in (0, 1):
-        steps = [
-            (torch.arange(size, device=heights.device) + step).clamp(0, size - 1) for step in range(-radius, radius + 1)
-        ]
-        moments = torch.stack([moments.index_select(axis, step) for step in steps]).mean(0)
-    mean, square = moments.unbind(-1)
-    return torch.stack([mean + level, (square - mean * mean).clamp(min=_LEAST_VARIANCE)], -1)
-
-
-def blurred_visibility(
-    moments: Float[Tensor, "rows rows 2"], seen: Cascade, position: Float[Tensor, "*batch 3"]
-) -> Float[Tensor, "*batch"]:
-    """Share of the sun that reaches places, smooth enough for the few cells of fog [3]: Chebyshev's bound [2].
-
-    Of places below the mean height it is the most that could be lit for the heights' variance: never too dark, and
-    too bright where several casters lie above each other. 1 above the mean and off the map.
-    """
-    row, column, height = on_map(seen, position).unbind(-1)
-    mean, variance = lookup(moments, row, column).unbind(-1)
-    below = torch.relu(mean - height)
-    return _on_it(seen, row, column, variance / (variance + below * below))
+    share = share_above(height + bias, softness, (row, column), texel)
+    inside = (row >= 0.0) & (row <= last) & (column >= 0.0) & (column <= last)
+    return torch.where(inside, share, torch.ones_like(share))
 
 
 def cascaded(
@@ -160,9 +133,3 @@ def cascaded(
         width = BLEND * (far - near)
         found = torch.lerp(share, found, smooth_rise(depth - (far - width), width))
     return found
-
-
-def _on_it(seen: Cascade, row: Tensor, column: Tensor, share: Tensor) -> Tensor:
-    last = seen.resolution - 1.0
-    inside = (row >= 0.0) & (row <= last) & (column >= 0.0) & (column <= last)
-    return torch.where(inside, share, torch.ones_like(share))
