@@ -33,8 +33,8 @@ from diffrender.shading import basic_material
 from diffrender.shading.basic_material import MaterialView
 from diffrender.shading.eye_ball import EyeView
 from diffrender.shading.eye_ball import example_inputs as eye_examples
+from diffrender.shading.lamp_examples import example_inputs as lit_examples
 from diffrender.shading.lamps import LitView
-from diffrender.shading.lamps import example_inputs as lit_examples
 from diffrender.shading.painted_surface import CarPaintView
 from diffrender.shading.painted_surface import example_inputs as painted_examples
 from diffrender.shading.skin_view import SkinView

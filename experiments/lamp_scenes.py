@@ -1,6 +1,7 @@
 """A hall of balls under many lamps, to see local lights on: what is seen, and lists of the lamps that reach its tiles.
 
-Balls and lamps lie by chance, from a seed; the camera stands at one end of a long floor that ends at a wall.
+Balls and lamps lie by chance, from a seed; the camera stands at one end of a long floor that ends at a wall. Rays meet
+all of it exactly, by which maps of shadows are drawn and judged.
 """
 
 import math
@@ -24,10 +25,20 @@ SPAN = (0.5, 100.0)  # of slices [m]
 
 
 @dataclass(frozen=True)
+class Balls:
+    """What lies in the hall."""
+
+    middle: Float[Tensor, "balls 3"]
+    radius: Float[Tensor, " balls"]
+    colour: Float[Tensor, "balls 3"]
+
+
+@dataclass(frozen=True)
 class Seen:
     """A picture's surfaces: nearest hits of a camera's rays."""
 
     camera: Perspective
+    balls: Balls
     position: Float[Tensor, "height width 3"]
     normal: Float[Tensor, "height width 3"]
     to_eye: Float[Tensor, "height width 3"]
@@ -44,25 +55,31 @@ def camera(width: int, height: int) -> Perspective:
 def seen(eyes: Perspective, draw: torch.Generator) -> Seen:
     """Floor, end wall and balls."""
     direction = eyes.direction(*pixel_centres(eyes, slice(None), torch.zeros((), dtype=torch.float64)))
-    eye = direction.new_tensor(EYE)
-    down, ahead = direction[..., 2], direction[..., 0]
-    to_floor = torch.where(down < 0.0, -EYE[2] / down.clamp(max=-1e-9), math.inf)
-    to_wall = torch.where(ahead > 0.0, LENGTH / ahead.clamp(min=1e-9), math.inf)
-    middle, radius, colours = _balls(draw)
-    to_ball = _to_balls(eye, direction, middle, radius)
-    ways = torch.cat([to_floor[..., None], to_wall[..., None], to_ball], -1)
-    way, which = ways.min(-1)
+    eye, balls = direction.new_tensor(EYE), _balls(draw)
+    way, which = met(balls, eye, direction)
     position = eye + way[..., None] * direction
     of_ball = (which - 2).clamp(min=0)
-    normal = (position - middle[of_ball]) / radius[of_ball][..., None]
+    normal = (position - balls.middle[of_ball]) / balls.radius[of_ball][..., None]
     normal = torch.where((which == 0)[..., None], direction.new_tensor((0.0, 0.0, 1.0)), normal)
     normal = torch.where((which == 1)[..., None], direction.new_tensor((-1.0, 0.0, 0.0)), normal)
     is_ball = which >= 2
     checks = ((position[..., 0].floor() + position[..., 1].floor()) % 2.0)[..., None]
     flat = 0.35 + 0.25 * checks * torch.ones(3, dtype=torch.float64)
-    base = torch.where(is_ball[..., None], colours[of_ball], flat)
+    base = torch.where(is_ball[..., None], balls.colour[of_ball], flat)
     roughness = torch.where(is_ball, 0.15 + 0.14 * (of_ball % 5).to(way), 0.4 + 0.0 * way)
-    return Seen(eyes, position, normal, -direction, base, roughness, (is_ball & (of_ball % 3 == 0)).to(way))
+    return Seen(eyes, balls, position, normal, -direction, base, roughness, (is_ball & (of_ball % 3 == 0)).to(way))
+
+
+def met(
+    balls: Balls, origin: Float[Tensor, "*#batch 3"], direction: Float[Tensor, "*batch 3"]
+) -> tuple[Tensor, Tensor]:
+    """Way to what rays first meet [m], infinite where nothing is, and what it is: floor, wall, or from 2 on a ball."""
+    down, ahead = direction[..., 2], direction[..., 0]
+    to_floor = torch.where(down < 0.0, -origin[..., 2] / down.clamp(max=-1e-9), math.inf)
+    to_wall = torch.where(ahead > 0.0, (LENGTH - origin[..., 0]) / ahead.clamp(min=1e-9), math.inf)
+    ways = torch.cat([to_floor[..., None], to_wall[..., None], _to_balls(balls, origin, direction)], -1)
+    way, which = ways.min(-1)
+    return way, which
 
 
 def lamps(count: int, draw: torch.Generator) -> Lamps:
@@ -102,31 +119,45 @@ def profiles() -> Profiles:
 
 
 def view(shown: Seen, given: Lamps, tile: int) -> LitView:
-    """The picture tile by tile, and the lists of lamps for each; lists are those of `light_grid`."""
-    depth = light_grid.in_view(shown.camera, shown.position.new_tensor(EYE), shown.position)[..., 2]
+    """The picture tile by tile, and the lists of lamps for each."""
+    parts = {name: one for name, one in vars(shown).items() if name not in ("camera", "balls")}
+    tiles = {name: light_grid.to_tiles(one, tile) for name, one in parts.items()}
+    of_depth = light_grid.slice_of(
+        depth(shown, shown.position), Depths(*(shown.position.new_tensor(end) for end in SPAN))
+    )
+    places = Places(slice=light_grid.to_tiles(of_depth, tile), **tiles)
+    return LitView(places, given, lists(shown, given, places, tile), profiles())
+
+
+def lists(shown: Seen, given: Lamps, places: Places, tile: int) -> Lists:
+    """Lists of lamps for the tiles of a picture: those of `light_grid`."""
     middle = light_grid.in_view(shown.camera, given.position.new_tensor(EYE), given.position)
-    spheres, span = Spheres(middle, given.reach), Depths(*(depth.new_tensor(end) for end in SPAN))
-    bounds = light_grid.depth_bounds(light_grid.to_tiles(depth, tile))
-    listed = light_grid.lists(light_grid.side_planes(shown.camera, tile, depth).flatten(0, 1), bounds, spheres)
+    spheres, span = Spheres(middle, given.reach), Depths(*(middle.new_tensor(end) for end in SPAN))
+    far = light_grid.to_tiles(depth(shown, shown.position), tile)
+    sides = light_grid.side_planes(shown.camera, tile, far).flatten(0, 1)
+    listed = light_grid.lists(sides, light_grid.depth_bounds(far), spheres)
     cells = light_grid.cells(listed, spheres, span)
-    tiles = {name: light_grid.to_tiles(one, tile) for name, one in vars(shown).items() if name != "camera"}
-    places = Places(slice=light_grid.to_tiles(light_grid.slice_of(depth, span), tile), **tiles)
-    longest = of_lamps.most_in_slices(places, cells.first, cells.last)
-    return LitView(places, given, Lists(listed, cells.first, cells.last, longest), profiles())
+    return Lists(listed, cells.first, cells.last, of_lamps.most_in_slices(places, cells.first, cells.last))
 
 
-def _balls(draw: torch.Generator) -> tuple[Tensor, Tensor, Tensor]:
+def depth(shown: Seen, position: Float[Tensor, "*batch 3"]) -> Float[Tensor, "*batch"]:
+    """How far ahead of the eye places are [m]."""
+    return light_grid.in_view(shown.camera, position.new_tensor(EYE), position)[..., 2]
+
+
+def _balls(draw: torch.Generator) -> Balls:
     place = torch.rand(BALLS, 6, generator=draw, dtype=torch.float64)
     radius = 0.3 + 0.9 * place[:, 0]
     ahead = 4.0 + 0.6 * LENGTH * place[:, 1] ** 2
     middle = torch.stack([ahead, (2.0 * place[:, 2] - 1.0) * 0.6 * ahead.clamp(max=WIDTH), radius], -1)
-    return middle, radius, 0.15 + 0.8 * place[:, 3:]
+    return Balls(middle, radius, 0.15 + 0.8 * place[:, 3:])
 
 
-def _to_balls(eye: Tensor, direction: Tensor, middle: Tensor, radius: Tensor) -> Float[Tensor, "*batch balls"]:
+def _to_balls(balls: Balls, origin: Tensor, direction: Tensor) -> Float[Tensor, "*batch balls"]:
     """Length of rays to every ball, infinite where they miss it."""
-    along = direction @ (middle - eye).T
-    square = (middle - eye).square().sum(-1) - along.square()
-    inside = radius.square() - square
+    towards = balls.middle - origin[..., None, :]
+    along = (direction[..., None, :] * towards).sum(-1)
+    square = towards.square().sum(-1) - along.square()
+    inside = balls.radius.square() - square
     way = along - inside.clamp(min=0.0).sqrt()
     return torch.where((inside > 0.0) & (way > 0.0), way, math.inf)

@@ -7,7 +7,7 @@ import torch
 from diffrender.parameters import defaults
 from diffrender.shading import local_lights
 from diffrender.shading.lamps import NO_PROFILE, Lists, LitView, LocalLights, Places, points, spots
-from experiments import lamp_scenes
+from experiments import hall_shadows, lamp_scenes
 
 RUNGS = {name: rung for name, rung in local_lights.EFFECT.rungs.items() if name != "skip"}
 CULLED = ("tiles", "clusters")
@@ -57,6 +57,23 @@ def test_culling_holds_whatever_the_parameters(rung):
     for changed in ({"reach_scale": 0.3}, {"source_radius": 1.0, "intensity_scale": 7.0}):
         culled, whole = (draw(lights(**changed), view) for draw in (RUNGS[rung], local_lights.render))
         torch.testing.assert_close(culled, whole, rtol=1e-12, atol=1e-12)
+
+
+@pytest.mark.parametrize("rung", RUNGS)
+def test_shadows_dim_their_own_lamps_alike_in_all_rungs(rung):
+    draw = torch.Generator().manual_seed(5)
+    shown, lamps = lamp_scenes.seen(lamp_scenes.camera(48, 32), draw), lamp_scenes.lamps(40, draw)
+    view = hall_shadows.shaded(shown, lamps, 12, 8, 128)
+    assert len(view.shadowed.lamps.reach) == 12
+    found = RUNGS[rung](lights(), view)
+    torch.testing.assert_close(found, local_lights.reference(lights(), view), rtol=0.0, atol=2e-4 * float(found.max()))
+    torch.testing.assert_close(local_lights.in_groups(RUNGS[rung], lights(), view, 5), found, rtol=1e-12, atol=1e-12)
+    bright = replace(view, shadowed=replace(view.shadowed, shadows=None))
+    without = RUNGS[rung](lights(), bright)
+    assert (found <= without).all()
+    assert (found < 0.5 * without).any()
+    # As if all lamps were one group.
+    torch.testing.assert_close(without, RUNGS[rung](lights(), lamp_scenes.view(shown, lamps, 8)), rtol=1e-9, atol=1e-12)
 
 
 def test_culled_rungs_look_at_few_lamps():

@@ -8,8 +8,8 @@ from jaxtyping import Float, Int
 from torch import Tensor
 
 from diffrender.parameters import parameter, record
-from diffrender.rays import from_angles
-from diffrender.shading.light_profile import Profile, Profiles, even
+from diffrender.shading.lamp_shadow import Shadows
+from diffrender.shading.light_profile import Profiles
 
 EVERYWHERE = (-1.0, -2.0)  # cosines of a cone without an edge
 NO_PROFILE = -1
@@ -78,13 +78,32 @@ class Lists:
 
 
 @record
+class Group:
+    """Lamps and the lists of them: all with a shadow, or all without."""
+
+    lamps: Lamps
+    lists: Lists
+    shadows: Shadows | None = None
+
+
+@record
 class LitView:
-    """What lamps shine on, and which of them on which tile."""
+    """What lamps shine on, and which of them on which tile.
+
+    Those with a shadow are a group of their own, so that the others cost no more for it.
+    """
 
     places: Places
     lamps: Lamps
     lists: Lists
     profiles: Profiles | None = None
+    shadowed: Group | None = None
+
+    @property
+    def groups(self) -> list[Group]:
+        """All lamps: those without a shadow, and those with one where there are any."""
+        plain = Group(self.lamps, self.lists)
+        return [plain] if self.shadowed is None else [plain, self.shadowed]
 
 
 def points(
@@ -108,104 +127,13 @@ def spots(lamps: Lamps, axis: Float[Tensor, "lamps 3"], inner: float, outer: flo
     return replace(lamps, axis=axis, across=across, **limits)
 
 
+def in_frame(lamps: Lamps, away: Float[Tensor, "*#batch 3"]) -> Float[Tensor, "*batch 3"]:
+    """Parts of vectors across, aside (across × axis) and along the axis of lamps."""
+    aside = torch.linalg.cross(lamps.across, lamps.axis)
+    return torch.stack([(part * away).sum(-1) for part in (lamps.across, aside, lamps.axis)], -1)
+
+
 def most_in_slices(places: Places, first: Int[Tensor, "tiles slices"], last: Int[Tensor, "tiles slices"]) -> int:
     """Most lamps that any pixel's slice of any tile holds."""
     held = (last - first + 1).clamp(min=0).gather(-1, places.slice)
     return int(held.max()) if held.numel() else 0
-
-
-# Height, azimuth [degrees] and distance of a lamp from its tile's middle, reach, intensity; elevation of its axis.
-_LAMPS = (
-    (40.0, 20.0, 2.0, 6.0, 30.0, -60.0),
-    (80.0, 140.0, 0.4, 3.0, 6.0, -90.0),  # near
-    (15.0, 250.0, 3.0, 3.4, 90.0, -20.0),  # where its light ends
-    (50.0, 300.0, 2.5, 8.0, 60.0, -50.0),
-    (0.5, 10.0, 2.0, 5.0, 60.0, 0.0),  # grazing
-    (-30.0, 80.0, 1.5, 5.0, 40.0, 30.0),  # below the surface
-    (60.0, 200.0, 6.0, 5.0, 99.0, -70.0),  # out of reach
-    (89.0, 0.0, 1.8, 7.0, 50.0, -90.0),
-    (35.0, 170.0, 1.2, 4.0, 20.0, 80.0),  # turned away
-)
-# Roughness, metallic, brightness of the base; elevation and azimuth of the eye [degrees].
-_SURFACES = (
-    (0.5, 0.0, 0.4, 40.0, 200.0),
-    (1.0, 0.0, 0.8, 25.0, 100.0),
-    (0.2, 1.0, 0.7, 60.0, 20.0),
-    (0.0, 0.0, 0.3, 35.0, 10.0),  # a mirror
-    (0.6, 1.0, 0.9, 3.0, 300.0),  # grazing
-    (0.35, 0.0, 0.0, 89.9, 0.0),  # black, straight down
-)
-_SLICES = 4
-
-
-def example_inputs(dtype: torch.dtype) -> LitView:
-    """Six tiles of four places on grounds and mirrors, under points, spots and measured lamps: near, grazing, away."""
-    lamp = torch.tensor(_LAMPS, dtype=torch.float64)
-    surface = torch.tensor(_SURFACES, dtype=torch.float64)
-    tile, pixel = torch.arange(len(surface), dtype=torch.float64), torch.arange(4, dtype=torch.float64)
-    place = torch.stack(
-        [0.9 * tile[:, None] + 0.0 * pixel, 0.15 * pixel + 0.0 * tile[:, None], 0.0 * tile[:, None] * pixel], -1
-    )
-    lean = torch.stack([0.1 * torch.sin(tile), 0.1 * torch.cos(tile), torch.ones_like(tile)], -1)
-    rough, metal, bright, *eye = surface.unbind(-1)
-    to_eye = from_angles(*(angle.deg2rad() for angle in eye))
-    base = bright[:, None] * torch.tensor([1.0, 0.9, 0.75], dtype=torch.float64)
-
-    def of_tile(value: Tensor) -> Tensor:
-        return value[:, None].expand(len(surface), 4, *value.shape[1:]).clone()
-
-    slices = of_tile(tile.long()) % _SLICES
-    unit = torch.nn.functional.normalize(lean, dim=-1)
-    places = Places(place, of_tile(unit), of_tile(to_eye), of_tile(base), of_tile(rough), of_tile(metal), slices)
-    lamps = _example_lamps(lamp)
-    return _cast(LitView(places, lamps, _example_lists(places, lamps), _example_profiles()), dtype)
-
-
-def _example_lamps(lamp: Tensor) -> Lamps:
-    rise, turn, distance, reach, strength, tilt = lamp.unbind(-1)
-    number = torch.arange(len(lamp), dtype=torch.float64)
-    middle = torch.stack([0.6 * number, 0.2 + 0.0 * number, 0.0 * number], -1)
-    towards = from_angles(rise.deg2rad(), turn.deg2rad())
-    colour = strength[:, None] * torch.tensor([1.0, 0.8, 0.6], dtype=torch.float64)
-    lamps = points(middle + distance[:, None] * towards, colour, reach)
-    spot = spots(lamps, from_angles(tilt.deg2rad(), turn.deg2rad() + math.pi), 0.3, 0.9)
-    is_point = number % 3 == 1
-    cones = {
-        name: torch.where(is_point, getattr(lamps, name), getattr(spot, name)) for name in ("cos_inner", "cos_outer")
-    }
-    profile = torch.where(number % 3 == 2, (number // 3).long() % 2, NO_PROFILE)
-    return replace(spot, profile=profile, **cones)
-
-
-def _example_profiles() -> Profiles:
-    """A downlight, and a lamp that shines to two sides more than to the others."""
-    down, turn = (torch.linspace(0.0, end, count, dtype=torch.float64) for end, count in ((180.0, 19), (360.0, 37)))
-    down, turn = down.deg2rad(), turn.deg2rad()
-    batwing = 0.3 + torch.sin(down[:, None]) ** 2 * torch.cos(turn) ** 2
-    below = torch.cos(down[:10, None]).clamp(min=0.0) + 0.0 * turn
-    return even([Profile(down[:10], turn, below), Profile(down, turn, batwing)], len(down), len(turn))
-
-
-def _example_lists(places: Places, lamps: Lamps) -> Lists:
-    """Lists of what reaches any place of a tile; all of it in the slice in which the tile lies, none in others."""
-    distance = torch.linalg.vector_norm(lamps.position - places.position[..., None, :], dim=-1)
-    reached = (distance <= lamps.reach).any(1)
-    longest = int(reached.sum(-1).max())
-    # A stable sort of what is not reached leaves the others in front, in their order.
-    listed = (~reached).long().argsort(dim=-1, stable=True)[:, :longest]
-    listed = torch.where(reached.gather(-1, listed), listed, -1)
-    first = torch.zeros(len(listed), _SLICES, dtype=torch.long)
-    is_own = torch.arange(_SLICES) == places.slice[:, :1]
-    last = torch.where(is_own, reached.sum(-1, keepdim=True) - 1, -1)
-    return Lists(listed, first, last, most_in_slices(places, first, last))
-
-
-def _cast(view: LitView, dtype: torch.dtype) -> LitView:
-    """The same view in another precision."""
-
-    def of(part: object) -> dict[str, Tensor]:
-        return {name: value.to(dtype) if value.is_floating_point() else value for name, value in vars(part).items()}
-
-    assert view.profiles is not None
-    places, lamps, profiles = Places(**of(view.places)), Lamps(**of(view.lamps)), Profiles(**of(view.profiles))
-    return LitView(places, lamps, view.lists, profiles)

@@ -1,12 +1,14 @@
 """Light of many lamps by slow and plain means: lamp by lamp, with no formula of the fast one but its model.
 
 A lamp's disc is summed ring by ring. Facets are Walter's [1] by the tangents of their angles, Smith's function of both
-directions together [2]. Profiles are looked up corner by corner, each with the weight of a tent.
+directions together [2]. Profiles and maps of shadows are looked up corner by corner, each with the weight of a tent:
+every texel of a lamp's square by how near it is on the octahedron, which is unfolded face by face.
 
 [1] B. Walter et al., "Microfacet Models for Refraction through Rough Surfaces", EGSR 2007, section 5.
 [2] E. Heitz, "Understanding the Masking-Shadowing Function in Microfacet-Based BRDFs", JCGT 3(2), 2014, section 5.3.
 """
 
+import itertools
 import math
 
 import torch
@@ -14,6 +16,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from diffrender.shading.brdf import DIELECTRIC
+from diffrender.shading.lamp_shadow import LIFT, Shadows
 from diffrender.shading.lamps import Lamps, LitView, LocalLights, Places
 from diffrender.shading.light_profile import Profiles
 from diffrender.shading.microfacet import LEAST_COSINE, MIRROR_SPREAD
@@ -24,9 +27,13 @@ _RINGS = 16  # of equal area
 def reference(lights: LocalLights, view: LitView) -> Float[Tensor, "*batch pixels 3"]:
     """Radiance of all lamps' light that surfaces send to the eye [W/(m² sr)]."""
     total = torch.zeros_like(view.places.position)
-    for number in range(len(view.lamps.reach)):
-        lamp = Lamps(**{name: value[number] for name, value in vars(view.lamps).items()})
-        total = total + _of_lamp(lights, view, lamp)
+    for group in view.groups:
+        for number in range(len(group.lamps.reach)):
+            lamp = Lamps(**{name: value[number] for name, value in vars(group.lamps).items()})
+            light = _of_lamp(lights, view, lamp)
+            if group.shadows is not None:
+                light = light * _seen(view.places, lamp, group.shadows, number)[..., None]
+            total = total + light
     return total * lights.intensity_scale
 
 
@@ -70,6 +77,51 @@ def _profile(profiles: Profiles, lamp: Lamps, to_light: Tensor) -> Tensor:
     found = torch.einsum("...r,rc,...c->...", of_row, table, of_column)
     measured = (vertical >= profiles.first[lamp.profile]) & (vertical <= profiles.last[lamp.profile])
     return torch.where(measured, found, 0.0)
+
+
+def _seen(places: Places, lamp: Lamps, shadows: Shadows, number: int) -> Tensor:
+    """Comparisons with all texels of a lamp's square, as they weigh at nine places in it, a texel apart."""
+    squares = shadows.squares
+    size, span = int(squares.size[number]), squares.span[number]
+    down, across = squares.corner[number].tolist()
+    texels = shadows.atlas[down : down + size, across : across + size]
+    away = places.position - lamp.position
+    width = 2 * span / size * away.norm(dim=-1) * _octahedral(lamp, away) ** 2
+    away = away + LIFT * width[..., None] * places.normal
+    place = _unfolded(lamp, away)
+    number_of = torch.arange(size)
+    deeper = away.norm(dim=-1)[..., None, None] + texels
+    lit = 1 / (1 + torch.exp(deeper / (shadows.softness * width)[..., None, None]))
+    total = torch.zeros_like(width)
+    for tap in torch.cartesian_prod(torch.arange(-1, 2), torch.arange(-1, 2)):
+        at = ((place + span) / (2 * span / size) - 0.5 + tap).clamp(0, size - 1)
+        of_row, of_column = (torch.relu(1 - (at[..., axis, None] - number_of).abs()) for axis in (0, 1))
+        total = total + torch.einsum("...r,...rc,...c->...", of_row, lit, of_column)
+    return total / 9
+
+
+def _octahedral(lamp: Lamps, away: Tensor) -> Tensor:
+    """Sum of a unit direction's parts along the lamp's three axes: over the way to the octahedron's face, 1."""
+    axes = torch.stack([lamp.across, torch.linalg.cross(lamp.across, lamp.axis), lamp.axis])
+    total: Tensor = (away @ axes.T).abs().sum(-1) / away.norm(dim=-1)
+    return total
+
+
+def _unfolded(lamp: Lamps, away: Tensor) -> Tensor:
+    """Place on the octahedron's square: where a direction meets the plane of its face, turned over if it is behind."""
+    across, axis = lamp.across, lamp.axis
+    side = torch.linalg.cross(across, axis)
+    total = torch.zeros_like(away[..., :2])
+    corners = [-1.0, 1.0]
+    for right, up, front in itertools.product(corners, corners, corners):
+        plane = right * across + up * side + front * axis
+        met = away / (away * plane).sum(-1, keepdim=True)
+        x, y, ahead = ((met * one).sum(-1) for one in (across, side, axis))
+        is_here = (x * right >= 0) & (y * up >= 0) & (ahead * front > 0) & ((away * plane).sum(-1) > 0)
+        # Mirrored at the square's edge, x + y = 1 in this quadrant.
+        flat = torch.stack([x, y] if front > 0 else [right * (1 - y * up), up * (1 - x * right)], -1)
+        total = torch.where(is_here[..., None], flat, total)
+    return total
 
 
 def _reflected(places: Places, to_light: Tensor) -> Tensor:

@@ -72,7 +72,7 @@ class WetView:
     height: Float[Tensor, "*#batch"]
     terrain: Float[Tensor, "*#batch"]
     to_light: Float[Tensor, "*#batch 3"]
-    irradiance: Float[Tensor, "*#batch 3"]  # of a surface that faces the light [W/m²]
+    irradiance: Float[Tensor, "*#batch 3"]  # where it faces the light, times what shadows leave of it [W/m²]
     sky: EvenSky
     open: Float[Tensor, "*#batch"]
     held: Float[Tensor, "*#batch"]
