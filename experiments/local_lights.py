@@ -1,12 +1,14 @@
 """Whether culling lamps changes pictures, and how many lamps tiles and their slices keep.
 
 Random halls of up to so many lamps are drawn by all of them and by lists; the difference is over the brightest pixel.
+In every fourth hall some of the lamps cast shadows.
 The picture shows a hall of many lamps, how many are in the list of each tile, and how many a pixel looks at by its
 slice of depth.
 """
 
 import argparse
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -20,11 +22,12 @@ from diffrender.geometry import light_grid
 from diffrender.parameters import defaults
 from diffrender.shading import local_lights
 from diffrender.shading.lamps import LitView, LocalLights
-from experiments import lamp_scenes, records
+from experiments import hall_shadows, lamp_scenes, records
 from experiments.effects import in_dtype
 
 SCENES, SMALL_SCENES = 10_000, 20
 SCENE, SCENE_TILE, MOST_LAMPS = (16, 12), 4, 64  # of random halls
+EVERY, SHADOWED, ATLAS = 4, 6, 64  # halls in which some lamps cast shadows, how many at most, and texels of their maps
 PICTURE, SMALL_PICTURE, TILE = (640, 400), (64, 40), 16
 PICTURE_LAMPS = 2_000
 EXPOSURE = 6.0
@@ -39,21 +42,45 @@ def hall(size: tuple[int, int], lamps: int, tile: int, seed: int) -> LitView:
     return lamp_scenes.view(shown, lamp_scenes.lamps(lamps, draw), tile)
 
 
+def shaded_hall(size: tuple[int, int], lamps: int, tile: int, seed: int) -> LitView:
+    """The same in which the first of the lamps cast shadows."""
+    draw = torch.Generator().manual_seed(seed)
+    shown = lamp_scenes.seen(lamp_scenes.camera(*size), draw)
+    return hall_shadows.shaded(shown, lamp_scenes.lamps(lamps, draw), min(lamps, SHADOWED), tile, ATLAS)
+
+
 def differences(count: int) -> dict[str, Any]:
     """Largest difference of culled pictures from those of all lamps, in units of their brightest pixel."""
     lights, largest, looked_at = defaults(LocalLights, torch.float64), dict.fromkeys(CULLED, 0.0), 0.0
     lamps = 1 + torch.randint(MOST_LAMPS, (count,), generator=torch.Generator().manual_seed(0))
-    lit = 0
+    lit = darker = 0
     for seed, number in enumerate(lamps.tolist()):
-        view = hall(SCENE, number, SCENE_TILE, seed)
+        made = hall if seed % EVERY else shaded_hall
+        view = made(SCENE, number, SCENE_TILE, seed)
         whole = local_lights.render(lights, view)
+        darker += _is_darker(lights, view, whole)
         brightest = float(whole.max())
         lit += brightest > 0.0
-        looked_at += float((view.lists.listed >= 0).sum()) / len(view.lists.listed) / number / count
+        held = sum(int((group.lists.listed >= 0).sum()) for group in view.groups)
+        looked_at += held / len(view.lists.listed) / number / count
         for name, draw in CULLED.items():
             change = float((draw(lights, view) - whole).abs().max())
             largest[name] = max(largest[name], change / brightest if brightest > 0.0 else change)
-    return {"scenes": count, "with_light": lit, "mean_share_in_lists": looked_at, "largest_difference": largest}
+    return {
+        "scenes": count,
+        "with_light": lit,
+        "darker_by_shadows": darker,
+        "mean_share_in_lists": looked_at,
+        "largest_difference": largest,
+    }
+
+
+def _is_darker(lights: LocalLights, view: LitView, whole: Tensor) -> bool:
+    """Whether shadows change a picture."""
+    if view.shadowed is None:
+        return False
+    bright = replace(view, shadowed=replace(view.shadowed, shadows=None))
+    return bool((local_lights.render(lights, bright) - whole).max() > 1e-3 * whole.max())
 
 
 def held(view: LitView) -> dict[str, float]:
@@ -107,7 +134,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
     is_small = given.size == "small"
     same = differences(SMALL_SCENES if is_small else SCENES)
     print(
-        f"{same['scenes']} halls, {same['with_light']} of them lit; {same['mean_share_in_lists']:.2g} of lamps in lists"
+        f"{same['scenes']} halls, {same['with_light']} of them lit, {same['darker_by_shadows']} darker by shadows; "
+        f"{same['mean_share_in_lists']:.2g} of lamps in lists"
     )
     print(f"largest differences over the brightest pixel: {same['largest_difference']}")
     size = SMALL_PICTURE if is_small else PICTURE
