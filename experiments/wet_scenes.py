@@ -59,7 +59,7 @@ def street(camera: Camera, weather: Weather) -> WetView:
     terrain = _terrain(flat[..., 0], flat[..., 1])
     normal = _bumped(flat, seen)
     base = (0.30 * shade * (0.45 + 0.55 * height))[..., None] * height.new_tensor((1.0, 0.95, 0.86))
-    return _view(weather, flat, normal, to_eye, (base, 0.86 - 0.16 * height, height, terrain))
+    return view(weather, flat, normal, to_eye, (base, 0.86 - 0.16 * height, height, terrain))
 
 
 def wall(camera: Camera, weather: Weather) -> WetView:
@@ -75,7 +75,7 @@ def wall(camera: Camera, weather: Weather) -> WetView:
     normal = torch.stack([-torch.ones_like(y), 0.02 * torch.sin(9.0 * y + 3.0 * z), 0.02 * torch.cos(7.0 * z)], -1)
     base = (0.34 * shade * (0.6 + 0.4 * joint))[..., None] * place.new_tensor((1.0, 0.86, 0.7))
     flat = torch.ones_like(y)
-    return _view(weather, place, _unit(normal), to_eye, (base, 0.72 * flat, flat, flat))
+    return view(weather, place, _unit(normal), to_eye, (base, 0.72 * flat, flat, flat))
 
 
 def radiance(rain: Wetness, view: WetView) -> Float[Tensor, "*batch 3"]:
@@ -123,7 +123,7 @@ def _from_eye(camera: Camera) -> tuple[Tensor, Tensor]:
     return -direction, direction
 
 
-def _view(weather: Weather, place: Tensor, normal: Tensor, to_eye: Tensor, looks: tuple[Tensor, ...]) -> WetView:
+def view(weather: Weather, place: Tensor, normal: Tensor, to_eye: Tensor, looks: tuple[Tensor, ...]) -> WetView:
     """View of surfaces of a base colour, roughness, height and terrain."""
     base, roughness, height, terrain = looks
     middle, half, border = (place.new_tensor(one) for one in weather.box)

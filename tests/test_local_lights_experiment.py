@@ -1,6 +1,6 @@
 import json
 
-from experiments import effects, local_lights, local_lights_time
+from experiments import effects, local_lights, local_lights_time, shadows
 
 
 def test_culled_halls_are_drawn_and_compared(tmp_path, capsys):
@@ -9,6 +9,7 @@ def test_culled_halls_are_drawn_and_compared(tmp_path, capsys):
     found = content["differences"]
     assert found["with_light"] == found["scenes"] == local_lights.SMALL_SCENES
     assert all(change < 1e-12 for change in found["largest_difference"].values())
+    assert 0 < found["darker_by_shadows"] <= found["scenes"] / local_lights.EVERY
     assert 0.0 < found["mean_share_in_lists"] < 0.8
     assert content["picture"]["mean_in_cell"] < content["picture"]["mean_in_tile"] < 0.2 * local_lights.PICTURE_LAMPS
     assert (tmp_path / "local_lights.png").stat().st_size > 1000
@@ -28,3 +29,14 @@ def test_hard_lamps_are_as_many_as_the_examples():
     shapes = {name: seen.places.position.shape for name, seen in effects.hard_inputs("local lights").items()}
     assert len(shapes) == 5
     assert len(set(shapes.values())) == 1
+
+
+def test_shadows_of_lamps_and_the_sun_are_held_against_rays(tmp_path, capsys):
+    shadows.main(["--size", "small", "--out", str(tmp_path)])
+    content = json.loads((tmp_path / "shadows.json").read_text())
+    for name in ("lamps", "sun"):
+        coarse, fine = content[name]
+        assert fine["soft"]["mean_error"] < coarse["soft"]["mean_error"]
+        assert 0.0 < fine["soft"]["differs"] < 0.5 * fine["dark"]
+    assert (tmp_path / "shadows.png").stat().st_size > 1000
+    assert "soft differs" in capsys.readouterr().out
