@@ -275,18 +275,30 @@ def render(
 
 @app.command()
 def show(
-    weather: Weather,
+    file: Annotated[Path, typer.Argument(metavar="FILE", help="Weather file, or LAMP.ies, a lamp's photometric file.")],
     out: Annotated[Path | None, typer.Option(metavar="HTML", help="Page to write, with larger plots.")] = None,
 ) -> None:
-    """Print the table of a weather file and plot each parameter over the day."""
+    """Print the table of a weather file and plot each parameter over the day; or tell what a lamp's .ies file says.
+
+    Of a lamp: symmetry, angles, peak, flux beside what the file states, beam and field angle; its page has the polar
+    diagram.
+    """
     from fit import weather_file, weather_page, weather_text
 
     use_threads()
-    seen = weather_file.read(weather)
-    if out is not None:
-        weather_page.write(out, weather.name, seen)
-    letters = weather_text.BRAILLE if terminal.has("⣿") else weather_text.ASCII
-    shown = weather_text.text(seen, shutil.get_terminal_size().columns, letters)
+    width = shutil.get_terminal_size().columns
+    if file.suffix.lower() == ".ies":
+        from fit import ies, lamp_page, lamp_sheet
+
+        sheet = lamp_sheet.sheet(ies.read(file))
+        if out is not None:
+            lamp_page.write(out, file.name, sheet)
+        shown = lamp_sheet.text(sheet, width)
+    else:
+        weather = weather_file.read(file)
+        if out is not None:
+            weather_page.write(out, file.name, weather)
+        shown = weather_text.text(weather, width, weather_text.BRAILLE if terminal.has("⣿") else weather_text.ASCII)
     terminal.show(shown if out is None else f"{shown}\n\nwritten to {out}")
 
 

@@ -22,7 +22,8 @@ from fit.input_error import InputError
 VERSIONS = ("IESNA91", "IESNA:LM-63-1991", "IESNA:LM-63-1995", "IESNA:LM-63-2002")  # of 1986 there is no line
 TILT = "TILT="
 TYPES = {1: "C", 2: "B", 3: "A"}
-SYMMETRIES = (0.0, 90.0, 180.0, 360.0)  # last horizontal angle
+# By the last horizontal angle.
+SYMMETRIES = {0.0: "round", 90.0: "alike in its quadrants", 180.0: "alike to both sides", 360.0: "none"}
 STARTS, ENDS = (0.0, 90.0), (90.0, 180.0)  # of vertical angles
 LARGEST_BYTES = 10_000_000
 MOST_ANGLES = 10_000
@@ -38,11 +39,13 @@ class Luminaire:
     Attributes:
         profile: intensity in candela, ballast and multiplier included, over the whole circle.
         lumens: of its bare lamps together; None where the file's intensities are absolute.
+        symmetry: how the file needs less than the whole circle.
         keywords: what stands in square brackets, by name; of those that stand twice the last.
     """
 
     profile: Profile
     lumens: float | None
+    symmetry: str
     keywords: dict[str, str]
 
 
@@ -63,8 +66,7 @@ def read(path: Path) -> Luminaire:
         raise InputError(f"{path} has no line that begins with {TILT}; give a photometric file, IES LM-63")
     if (kind := lines[tilt].strip()[len(TILT) :].strip()).upper() != "NONE":
         raise InputError(f"{path} has TILT={kind[:40]}; allowed is TILT=NONE; give a file measured as the lamp hangs")
-    profile, lumens = _photometry(path, _numbers(path, lines[tilt + 1 :], tilt + 2))
-    return Luminaire(profile, lumens, _keywords(lines[:tilt]))
+    return Luminaire(*_photometry(path, _numbers(path, lines[tilt + 1 :], tilt + 2)), _keywords(lines[:tilt]))
 
 
 def _lines(path: Path) -> list[str]:
@@ -107,7 +109,7 @@ def _numbers(path: Path, lines: list[str], first: int) -> Numbers:
     return np.array(found)
 
 
-def _photometry(path: Path, numbers: Numbers) -> tuple[Profile, float | None]:
+def _photometry(path: Path, numbers: Numbers) -> tuple[Profile, float | None, str]:
     if len(numbers) < HEAD:
         raise InputError(
             f"{path} has {len(numbers)} numbers after {TILT}; needed are {HEAD} and the angles: is it whole?"
@@ -131,7 +133,7 @@ def _photometry(path: Path, numbers: Numbers) -> tuple[Profile, float | None]:
     whole = _whole_circle(horizontal, multiplier * ballast * candela.reshape(width, height))
     declared = None if lumens < 0.0 else float(lamps * lumens)
     down, turn = (torch.from_numpy(np.deg2rad(one)) for one in (vertical, whole[0]))
-    return Profile(down, turn, torch.from_numpy(whole[1].T.copy())), declared
+    return Profile(down, turn, torch.from_numpy(whole[1].T.copy())), declared, SYMMETRIES[float(horizontal[-1])]
 
 
 def _count(path: Path, name: str, number: float, least: int) -> int:

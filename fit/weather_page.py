@@ -4,12 +4,10 @@ from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
 
+from fit import page as pages
 from fit.curves import Curve, curves
-from fit.input_error import InputError
-from fit.page import template
 from fit.report import number
 from fit.weather_file import Weather
-from fit.whole_file import write_bytes
 
 STEPS = 288  # of five minutes
 WIDTH, HEIGHT = 420.0, 120.0  # of a plot
@@ -31,15 +29,13 @@ def write(path: Path, name: str, weather: Weather) -> None:
     Raises:
         InputError: for a path that is no HTML file's, or cannot be written.
     """
-    if path.suffix.lower() not in (".html", ".htm"):
-        raise InputError(f"--out {path}; what is written is a page: give a name that ends in .html")
-    write_bytes(path, page(name, weather).encode())
+    pages.write(path, page(name, weather))
 
 
 def page(name: str, weather: Weather) -> str:
     """HTML of the page: needs no other file and no network."""
     hours = sorted({24.0 * step / STEPS for step in range(STEPS + 1)} | set(weather.hours))
-    return template("weather.html").render(
+    return pages.template("weather.html").render(
         name=name,
         weather=weather,
         number=number,
