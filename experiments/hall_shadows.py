@@ -1,6 +1,7 @@
 """Shadows in the hall of balls: maps of its lamps in an atlas, and whether a lamp really is seen from a place."""
 
 import math
+from dataclasses import replace
 
 import torch
 from jaxtyping import Bool, Float
@@ -71,6 +72,14 @@ def some(lamps: Lamps, which: Tensor) -> Lamps:
     """Lamps of some numbers, or of a mask."""
     found: Lamps = pytree.tree_map(lambda value: value[which], lamps)
     return found
+
+
+def alone(group: Group, number: int) -> Group:
+    """One lamp of a group, with its map."""
+    assert group.shadows is not None
+    which = torch.tensor([number])
+    squares: Squares = pytree.tree_map(lambda value: value[which], group.shadows.squares)
+    return replace(group, lamps=some(group.lamps, which), shadows=replace(group.shadows, squares=squares))
 
 
 def is_seen(balls: Balls, place: Float[Tensor, "*batch 3"], lamp: Float[Tensor, "*#batch 3"]) -> Bool[Tensor, "*batch"]:
