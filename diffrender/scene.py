@@ -61,10 +61,10 @@ class Scene:
     froxel_fog: FroxelFog | None = None
     basic_material: BasicMaterial | None = None  # of surfaces, which whole-sky pictures do not show either
     wetness: Wetness | None = None
-    skin: Skin | None = None
-    transparent: Transparent | None = None
     car_paint: CarPaint | None = None
     eye: Eye | None = None
+    skin: Skin | None = None
+    transparent: Transparent | None = None
     rain: Rain | None = None
     local_lights: LocalLights | None = None
     sphere_light: SphereLight | None = None

@@ -22,7 +22,7 @@ from torch._dynamo.exc import TorchDynamoException  # torch has no public name f
 from diffrender.catalogue import EFFECTS
 from diffrender.effect import Effect
 from diffrender.parameters import defaults
-from experiments import effects, plots, records
+from experiments import effect_pictures, effects, plots, records
 from experiments.timing import Spread, in_turn, one_thread, ratio, seconds_of, spread
 
 COMPILERS = ("g++", "c++", "clang++")
@@ -193,9 +193,9 @@ def _at_most(seconds: float) -> Iterator[None]:
 def steps(name: str, effect: Effect, size: Size) -> tuple[list[Step], Mapping[str, str]]:
     """Every rung of an effect, cheapest first, and why some of them are not compiled."""
     on_examples = errors(effect, effect.example_inputs(torch.float64))
-    has_picture = name in effects.PICTURES
-    on_picture = errors(effect, effects.picture_inputs(name, *size.judged)) if has_picture else {}
-    inputs = effects.in_dtype(effects.picture_inputs(name, *size.timed), torch.float32)
+    has_picture = name in effect_pictures.PICTURES
+    on_picture = errors(effect, effect_pictures.picture_inputs(name, *size.judged)) if has_picture else {}
+    inputs = effects.in_dtype(effect_pictures.picture_inputs(name, *size.timed), torch.float32)
     made = compiled_rungs(effect, inputs) if size.is_compiled else Compiled({}, {}, {})
     timed = times(effect, inputs, size.rounds, made.renderers)
     found = [

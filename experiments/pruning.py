@@ -18,7 +18,7 @@ from diffrender.atmosphere import celestial, sky
 from diffrender.parameters import defaults
 from diffrender.rays import Camera, Equirectangular, Perspective
 from diffrender.scene import Choice, Exposure, Scene, finest, prune, render, sky_view, sun_view
-from experiments import effects, plots, records
+from experiments import effect_pictures, effects, plots, records
 from experiments.timing import Spread, in_turn, one_thread, ratio, seconds_of
 
 SIZE, ROUNDS = (96, 48), 5
@@ -119,7 +119,7 @@ TASKS = {
 def pruning(name: str, size: tuple[int, int], rounds: int) -> Pruning:
     """What is left of one scene."""
     task = TASKS[name]
-    scene, direction = task.scene(), effects.directions(task.camera(*size)).float()
+    scene, direction = task.scene(), effect_pictures.directions(task.camera(*size)).float()
     whole = render(scene, direction, finest())
     tolerance = task.tolerance * float(whole.max())
     pruned = prune(scene, direction, tolerance)

@@ -31,7 +31,7 @@ from torch.utils import _pytree as pytree
 from diffrender.catalogue import EFFECTS
 from diffrender.effect import Effect, Rung
 from diffrender.parameters import from_cube, names
-from experiments import effects, plots, records
+from experiments import effects, hard_places, plots, records
 
 ALLOWED, SHARE = 1e-4, 0.999  # relative error, and the share of numbers that must keep it
 FLOOR = 1e-3
@@ -208,7 +208,7 @@ def cases(name: str, effect: Effect, size: Size) -> Iterable[Case]:
         tangents = torch.func.vmap(along)(torch.eye(len(point), dtype=point.dtype))
         return Case(shown, where, *effects.in_dtype((from_cube(kind, point), tangents, inputs), torch.float32))
 
-    shown = list(effects.hard_inputs(name).items())[: size.inputs]
+    shown = list(hard_places.hard_inputs(name).items())[: size.inputs]
     corners = list(effects.corners(kind).items())
     others = [*corners[ENDS : size.corners], *effects.scattered(kind, size.scattered).items()]
     pairs = [*itertools.product(shown, corners[:ENDS]), *zip(itertools.cycle(shown), others, strict=False)]

@@ -7,7 +7,7 @@ from diffrender.catalogue import EFFECTS
 from diffrender.effect import Effect, Rung
 from diffrender.parameters import defaults, parameter, record
 from diffrender.scene import finest, render
-from experiments import effects, error_versus_time, pruning, records, stability, timing
+from experiments import effect_pictures, effects, error_versus_time, hard_places, pruning, records, stability, timing
 
 
 @record
@@ -76,18 +76,18 @@ def test_scattered_points_are_corners_and_insides_and_the_same_each_time():
 
 
 def test_inputs_are_told_of_effects_that_exist():
-    assert set(effects.PICTURES) | set(effects.HARD) <= set(EFFECTS)
+    assert set(effect_pictures.PICTURES) | set(hard_places.HARD) <= set(EFFECTS)
 
 
 @pytest.mark.parametrize("name", EFFECTS)
 def test_an_effect_without_a_picture_shows_its_examples_again_and_again(name, monkeypatch):
-    monkeypatch.setattr(effects, "PICTURES", {})
+    monkeypatch.setattr(effect_pictures, "PICTURES", {})
     effect = EFFECTS[name]
     cheapest = next(rung for rung in effect.rungs if rung != "skip")
     values = defaults(effect.parameters, torch.float64)
     once, often = (
         effect.rungs[cheapest](values, seen)
-        for seen in (effect.example_inputs(torch.float64), effects.picture_inputs(name, 16, 8))
+        for seen in (effect.example_inputs(torch.float64), effect_pictures.picture_inputs(name, 16, 8))
     )
     assert often.numel() >= 3 * 16 * 8
     torch.testing.assert_close(often[: len(once)], once)
@@ -238,7 +238,7 @@ def test_stability_writes_every_rung(tmp_path, capsys):
 @pytest.mark.parametrize("name", pruning.TASKS)
 def test_minimum_and_pruned_scene_are_within_the_tolerance(name):
     task = pruning.TASKS[name]
-    scene, direction = task.scene(), effects.directions(task.camera(16, 8)).float()
+    scene, direction = task.scene(), effect_pictures.directions(task.camera(16, 8)).float()
     whole = render(scene, direction, finest())
     found = pruning.pruning(name, (16, 8), rounds=1)
     assert found.error <= found.tolerance

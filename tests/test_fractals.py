@@ -8,7 +8,7 @@ import torch
 from diffrender.geometry import fractals, fractals_reference
 from diffrender.geometry.fractal_shapes import Mandelbulb, Menger, Sierpinski
 from diffrender.geometry.fractals import found, render
-from experiments import effects, fractal_distances
+from experiments import fractal_distances, hard_places
 from experiments import fractals as experiment
 from experiments.fractals import camera_rays, painted
 
@@ -134,6 +134,6 @@ def test_fractals_are_drawn_and_judged(tmp_path, capsys):
 
 
 def test_hard_fractals_are_as_many_as_the_examples():
-    shapes = {name: seen.rays.direction.shape for name, seen in effects.hard_inputs("fractal").items()}
+    shapes = {name: seen.rays.direction.shape for name, seen in hard_places.hard_inputs("fractal").items()}
     assert len(shapes) == 4
     assert len(set(shapes.values())) == 1

@@ -1,6 +1,6 @@
 import json
 
-from experiments import effects, local_lights, local_lights_time, shadows
+from experiments import hard_places, local_lights, local_lights_time, shadows
 
 
 def test_culled_halls_are_drawn_and_compared(tmp_path, capsys):
@@ -26,7 +26,7 @@ def test_local_lights_are_timed_against_their_number(tmp_path, capsys):
 
 
 def test_hard_lamps_are_as_many_as_the_examples():
-    shapes = {name: seen.places.position.shape for name, seen in effects.hard_inputs("local lights").items()}
+    shapes = {name: seen.places.position.shape for name, seen in hard_places.hard_inputs("local lights").items()}
     assert len(shapes) == 5
     assert len(set(shapes.values())) == 1
 

@@ -4,7 +4,7 @@ import json
 import pytest
 
 from diffrender.shading.sphere_light import EFFECT
-from experiments import effects, mitsuba_lamp, sphere_light
+from experiments import hard_places, mitsuba_lamp, sphere_light
 
 
 def test_places_radiance_furnace_and_picture_are_told(tmp_path, capsys):
@@ -45,6 +45,6 @@ def test_sums_agree_with_mitsuba_within_its_noise(tmp_path):
 
 
 def test_hard_lamps_are_as_many_as_the_examples():
-    shapes = {name: seen.position.shape for name, seen in effects.hard_inputs("sphere light").items()}
+    shapes = {name: seen.position.shape for name, seen in hard_places.hard_inputs("sphere light").items()}
     assert len(shapes) == 5
     assert len(set(shapes.values())) == 1

@@ -4,7 +4,7 @@ import pytest
 import torch
 
 from diffrender.shading.wetness import render
-from experiments import effects, wet_scenes, wetness
+from experiments import hard_places, wet_scenes, wetness
 
 
 def test_wet_ground_is_drawn_and_compared_with_optics(tmp_path, capsys):
@@ -34,6 +34,6 @@ def test_rain_makes_a_street_darker_and_puddles_mirror_the_house():
 
 
 def test_hard_surfaces_are_as_many_as_the_examples():
-    shapes = {name: seen.position.shape for name, seen in effects.hard_inputs("wetness").items()}
+    shapes = {name: seen.position.shape for name, seen in hard_places.hard_inputs("wetness").items()}
     assert len(shapes) == 5
     assert len(set(shapes.values())) == 1
