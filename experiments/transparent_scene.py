@@ -166,7 +166,8 @@ def _puff(ray: Tensor) -> Tensor:
     far = place.norm(dim=-1) / SMOKE[3]
     billows = torch.sin(9.0 * place[..., 1] + 2.0 * torch.sin(7.0 * place[..., 2]))
     billows = billows * torch.sin(8.0 * place[..., 2] + 2.0 * torch.sin(6.0 * place[..., 1]))
-    return (1.0 - (far * (1.0 + 0.25 * billows)).square()).clamp(min=0.0).square()
+    density: Tensor = (1.0 - (far * (1.0 + 0.25 * billows)).square()).clamp(min=0.0).square()
+    return density
 
 
 def _smudged(place: Tensor) -> Tensor:

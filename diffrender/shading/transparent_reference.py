@@ -144,7 +144,8 @@ def _around(normal: Tensor, cosine: Tensor) -> Tensor:
     first = torch.linalg.cross(normal, helper)
     first = first / first.norm(dim=-1, keepdim=True)
     flat = first * torch.cos(turn) + torch.linalg.cross(normal, first) * torch.sin(turn)
-    return normal * cosine[..., None] + flat * torch.sqrt(1 - cosine**2)[..., None]
+    directions: Tensor = normal * cosine[..., None] + flat * torch.sqrt(1 - cosine**2)[..., None]
+    return directions
 
 
 def _seen(sky: EvenSky, direction: Tensor) -> Tensor:
