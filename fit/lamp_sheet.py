@@ -53,7 +53,7 @@ def sheet(lamp: Luminaire) -> Sheet:
     down, turn = divmod(place, len(profile.horizontal))
     at_down, at_turn = (math.degrees(float(one)) for one in (profile.vertical[down], profile.horizontal[turn]))
     peak = float(profile.intensity.max())
-    planes = tuple(_plane(lamp, horizontal, at_down > 90.0) for horizontal in PLANES)
+    planes = tuple(_plane(lamp, horizontal, at_down) for horizontal in PLANES)
     first, last = (math.degrees(float(profile.vertical[end])) for end in (0, -1))
     facts = {name.lower(): said for name, said in lamp.keywords.items() if said} | {
         "symmetry": lamp.symmetry,
@@ -98,13 +98,13 @@ def _angles(found: list[tuple[int, float | None]], share: str) -> str:
     return f"{', '.join(told)}; at {share} of the plane's peak"
 
 
-def _plane(lamp: Luminaire, horizontal: int, is_up: bool) -> Plane:  # noqa: FBT001 - where the peak lies
+def _plane(lamp: Luminaire, horizontal: int, peak: float) -> Plane:
     angle = torch.linspace(-math.pi, math.pi, STEPS + 1, dtype=torch.float64)
     turn = math.radians(horizontal)
     along = torch.stack([angle.sin() * math.cos(turn), angle.sin() * math.sin(turn), angle.cos()], -1)
     intensity = intensity_towards(lamp.profile, along)
     # Angles from the end of the axis that the light goes to.
-    centred = torch.roll(intensity[:-1], STEPS // 2) if is_up else intensity[:-1]
+    centred = torch.roll(intensity[:-1], STEPS // 2) if peak > 90.0 else intensity[:-1]
     return Plane(horizontal, intensity, *(_width(centred, share) for share in (BEAM, FIELD)))
 
 
