@@ -106,9 +106,9 @@ def _glint(paint: CarPaint, view: CarPaintView, eye: Tensor, light: Tensor) -> T
     from_light, from_eye = _inside(light), _inside(eye)
     middle = from_light + from_eye
     slope = middle[..., :2] / middle[..., 2:]
-    tracing = torch.func.vmap(torch.func.jacfwd(_out))(slope, from_light)
+    tracing = torch.func.vmap(torch.func.jacfwd(_out))(slope.reshape(-1, 2), from_light.reshape(-1, 3))
     facing = 1 + (slope * from_light[..., :2]).sum(-1) / from_light[..., 2]
-    found: Tensor = _density(paint, view, slope) * facing / torch.linalg.det(tracing).abs()
+    found: Tensor = _density(paint, view, slope) * facing / torch.linalg.det(tracing).abs().reshape(facing.shape)
     return found
 
 

@@ -23,10 +23,10 @@ class Eye:
     """An eye: its iris behind the cornea, its white, and the tears over both."""
 
     iris_radius: Float[Tensor, ""] = parameter(
-        0.5, bounds=(0.35, 0.6), unit="eyeball radii", about="of the iris: turned up, larger"
+        0.5, bounds=(0.35, 0.6), unit="1", about="of the iris, in eyeball radii: turned up, larger"
     )
     iris_depth: Float[Tensor, ""] = parameter(
-        0.05, bounds=(0.0, 0.25), unit="eyeball radii", about="of the iris under its rim: turned up, it sits deeper"
+        0.05, bounds=(0.0, 0.25), unit="1", about="of the iris under its rim, in eyeball radii: turned up, deeper"
     )
     iris_colour: Float[Tensor, "3"] = parameter(
         (0.16, 0.3, 0.42), bounds=(0.0, 1.0), unit="1", about="of the iris: turned up, paler"
@@ -36,13 +36,13 @@ class Eye:
         about="slope of the iris at its rim: turned up, the side away from a light is the brighter one",
     )  # fmt: skip
     pupil_radius: Float[Tensor, ""] = parameter(
-        0.18, bounds=(0.05, 0.3), unit="eyeball radii", about="of the pupil: turned up, darker eyes"
+        0.18, bounds=(0.05, 0.3), unit="1", about="of the pupil, in eyeball radii: turned up, darker eyes"
     )
     sclera_colour: Float[Tensor, "3"] = parameter(
         (0.75, 0.68, 0.64), bounds=(0.0, 1.0), unit="1", about="of the white of the eye: turned up, whiter"
     )
     limbus_width: Float[Tensor, ""] = parameter(
-        0.1, bounds=(0.02, 0.25), unit="eyeball radii", about="of the iris' dark rim: turned up, wider and softer"
+        0.1, bounds=(0.02, 0.25), unit="1", about="of the iris' dark rim, in eyeball radii: turned up, softer"
     )
     refraction: Float[Tensor, ""] = parameter(
         1.336, bounds=(1.05, 1.6), unit="1", about="index of what fills the cornea: turned up, the iris comes nearer"
