@@ -221,6 +221,13 @@ def test_the_older_ways_go_dark_as_the_centre_sets_and_the_last_as_all_does(rung
     assert not sphere_light.render(lamp(0.3), whole).any()
 
 
+@pytest.mark.parametrize("eye", [8.0, 20.0])
+def test_a_large_cut_sphere_is_not_stretched_over_the_horizon_on_rough_metal(eye):
+    view = surface(seen_at(10.0), seen_at(eye, 175.0), 1.0, distance=1.0)
+    found, truth = sphere_light.render(lamp(0.5), view), summed(lamp(0.5), view, (48, 96))
+    torch.testing.assert_close(found, truth, rtol=0.3, atol=0.0)  # 2.2 with all of the stretch
+
+
 # Reference
 
 

@@ -2,7 +2,9 @@
 
 The light of what has risen is a closed form. Its shape, a disc with a straight edge, is none that facets have one for.
 So the largest sphere above the horizon stands for it that is as high at its top, stretched along the horizon until it
-lights level ground as much. This keeps the height of a reflection and roughly its width.
+lights level ground as much. This keeps the height of a reflection and roughly its width. Rough surfaces, whose
+reflections have no shape, have it brighter instead: stretched ones reach over the horizon at grazing angles, and were
+four times too bright.
 
 Smooth surfaces are better off with the uncut sphere, as they mirror next to nothing from below the horizon to the eye;
 but not if it reaches to the eye's opposite, where the facets that mirror it lie edgewise. Theirs goes down to half as
@@ -23,6 +25,8 @@ from diffrender.parameters import record
 from diffrender.shading.brdf import Geometry
 
 _SMOOTH = 0.05  # spread of facets, up to which spheres are not cut
+_ROUGH = 0.2  # square of the spread, from which spheres are made brighter rather than wider
+_MOST_STRETCHED = 0.9  # share of what is missing; the rest is made up by brightness, that nothing is divided by 0
 _LEAST_SEEN = 0.02  # share of a setting sphere's radius, below which what is above gets no smaller, only darker
 _NO_LIGHT = 1e-9  # cosine that stands for 0 where next to nothing has risen
 _NO_SIDE = 1e-6  # length below which a vector has no direction
@@ -37,13 +41,15 @@ class Risen:
         to_centre: unit vector.
         sine: of its angular radius.
         mean_cosine: at the surface.
-        wider: how many times it is stretched along the horizon; 1 where nothing is cut, 0 when all has set.
+        wider: how many times it is stretched along the horizon; 1 where nothing is cut.
+        brighter: how many times it shines as bright; 1 where nothing is cut, 0 when all has set.
     """
 
     to_centre: Float[Tensor, "*batch 3"]
     sine: Float[Tensor, "*batch"]
     mean_cosine: Float[Tensor, "*batch"]
     wider: Float[Tensor, "*batch"]
+    brighter: Float[Tensor, "*batch"]
 
 
 def mean_cosine(height: Float[Tensor, "*#batch"], sine: Float[Tensor, "*#batch"]) -> Float[Tensor, "*batch"]:
@@ -78,7 +84,9 @@ def risen(geometry: Geometry, sine: Float[Tensor, "*#batch"], spread: Float[Tens
     smaller = torch.sin(radius - lift)
     mean = mean_cosine((normal * lifted).sum(-1), smaller)
     mean = torch.maximum(mean, (0.5 * _LEAST_SEEN * sine).clamp(min=_NO_LIGHT))
-    return Risen(lifted, smaller, mean, mean_cosine(height, sine) * (sine / smaller).square() / mean)
+    more = mean_cosine(height, sine) * (sine / smaller).square() / mean
+    wider = 1.0 + (more - 1.0) * _MOST_STRETCHED / (1.0 + spread / _ROUGH)
+    return Risen(lifted, smaller, mean, wider, more / wider)
 
 
 def cosine(sine: Float[Tensor, "*batch"]) -> Float[Tensor, "*batch"]:

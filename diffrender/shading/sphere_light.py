@@ -153,7 +153,7 @@ def _of_mean(over: Sphere, visible: brdf.Visible) -> tuple[Tensor, Tensor, Cosin
     above = risen(over.geometry, over.sine, over.spread)
     facets = facets_of(over.geometry, above, over.spread)
     seen = facets.density * visible(over.cosines.eye, facets.cos_light.clamp(0.0, 1.0), over.spread)
-    disc = math.pi * above.sine.square() * above.wider
+    disc = math.pi * above.sine.square() * above.wider * above.brighter
     return disc, seen, Cosines(over.cosines.eye, above.mean_cosine, facets.cos_half)
 
 
