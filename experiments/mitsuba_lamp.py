@@ -31,7 +31,8 @@ ROUGHNESSES = (0.2, 0.4, 0.6, 0.8, 1.0)
 SINES = (0.05, 0.2, 0.5)
 # Elevations of light and eye, and the eye's azimuth from the light's [degrees].
 DIRECTIONS = ((60.0, 60.0, 180.0), (40.0, 30.0, 170.0), (35.0, 12.0, 180.0), (70.0, 50.0, 90.0), (10.0, 8.0, 175.0))
-STATED = {0.05: 0.01, 0.2: 0.02, 0.5: 0.06}  # largest relative error of whole spheres on metals, by their sine
+# Largest relative error of whole spheres on metals, by their sine; more than with facets hidden together, 6 % at 0.5.
+STATED = {0.05: 0.01, 0.2: 0.02, 0.5: 0.09}
 IN_NOISE = 3.0  # standard errors
 PIXELS, SAMPLES, SMALL_SAMPLES = 16, 256, 4
 CAMERA, FIELD = 0.1, 0.01  # distance of the camera [m], its field of view [degrees]
