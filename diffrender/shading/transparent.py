@@ -20,7 +20,8 @@ on their distance in metres. Moments of depth [4] would have to be kept for ever
 than sorting so few layers.
 
 Gradient: exact by glass, light and background; none through the order of layers, nor through whether one is before what
-is opaque. The picture jumps where two layers pass each other. Of layers of equal depth the earlier one is the nearer.
+is opaque. The picture jumps where two layers pass each other, and where a pane is seen along its edge, from what lights
+one side of it to what lights the other. Of layers of equal depth the earlier one is the nearer.
 
 [1] M. Miyamoto, R. Driancourt, "Rendering Techniques of Final Fantasy XV", SIGGRAPH 2016, slide "Shading".
 [2] T. Porter, T. Duff, "Compositing Digital Images", SIGGRAPH 1984.
