@@ -3,7 +3,7 @@ import math
 import pytest
 import torch
 
-from diffrender.numerics import atan_lack, b_splines, decayed_length, erfcx, lookup, mean_decay, opacity, safe_sqrt
+from diffrender.numerics import atan_lack, b_splines, decayed_length, erfcx, i0e, lookup, mean_decay, opacity, safe_sqrt
 
 TABLE = torch.rand(4, 5, 3, generator=torch.Generator().manual_seed(1), dtype=torch.float64)
 
@@ -117,6 +117,20 @@ def test_slope_of_erfcx_in_float64_is_that_of_its_differential_equation(way):
     wanted = 2.0 * x * torch.special.erfcx(x) - 2.0 / math.sqrt(math.pi)
     torch.testing.assert_close(way(erfcx, x), wanted, rtol=1e-10, atol=0.0)
     torch.testing.assert_close(erfcx(x), torch.special.erfcx(x), rtol=1e-13, atol=0.0)
+
+
+@pytest.mark.parametrize("way", WAYS)
+def test_i0e_keeps_its_value_and_slope_to_both_sides_of_where_its_series_begins(way):
+    x = torch.tensor([-2000.0, -30.1, -3.0, 0.0, 1e-9, 5.0, 29.9, 30.0, 30.1, 60.0], dtype=torch.float64)
+    slope = torch.special.i1e(x) - torch.sign(x) * torch.special.i0e(x)
+    torch.testing.assert_close(i0e(x), torch.special.i0e(x), rtol=1e-13, atol=0.0)
+    torch.testing.assert_close(way(i0e, x), slope, rtol=1e-9, atol=1e-16)
+
+
+@pytest.mark.parametrize("way", [value, reverse, forward])
+def test_i0e_in_float32_keeps_its_digits_and_those_of_its_slope_far_out(way):
+    x = bit_patterns(30.1, 1e8)
+    assert few_bits_lost(ulps(way, i0e, x))
 
 
 @pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
