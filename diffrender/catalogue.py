@@ -4,7 +4,17 @@ from diffrender.antialiasing import checkerboard, edge_taa, fxaa
 from diffrender.atmosphere import aerial_perspective, celestial, far_fog, froxel_fog, height_fog, sky
 from diffrender.effect import Effect
 from diffrender.geometry import fractals
-from diffrender.shading import basic_material, car_paint, eye, local_lights, skin, sphere_light, transparent, wetness
+from diffrender.shading import (
+    basic_material,
+    car_paint,
+    eye,
+    hair,
+    local_lights,
+    skin,
+    sphere_light,
+    transparent,
+    wetness,
+)
 from diffrender.weather import rain
 
 EFFECTS: dict[str, Effect] = {
@@ -20,6 +30,7 @@ EFFECTS: dict[str, Effect] = {
     "eye": eye.EFFECT,
     "skin": skin.EFFECT,
     "transparent": transparent.EFFECT,
+    "hair": hair.EFFECT,
     "fractal": fractals.EFFECT,
     "sphere light": sphere_light.EFFECT,
     "local lights": local_lights.EFFECT,

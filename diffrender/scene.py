@@ -30,6 +30,7 @@ from diffrender.parameters import Specification, names, parameter, record, speci
 from diffrender.rays import Rays, from_angles
 from diffrender.shading.basic_material import BasicMaterial
 from diffrender.shading.eye_ball import Eye
+from diffrender.shading.hair_view import Hair
 from diffrender.shading.lamps import LocalLights
 from diffrender.shading.painted_surface import CarPaint
 from diffrender.shading.skin_view import Skin
@@ -65,6 +66,7 @@ class Scene:
     eye: Eye | None = None
     skin: Skin | None = None
     transparent: Transparent | None = None
+    hair: Hair | None = None
     rain: Rain | None = None
     local_lights: LocalLights | None = None
     sphere_light: SphereLight | None = None
