@@ -24,6 +24,8 @@ from diffrender.shading import basic_material
 from diffrender.shading.basic_material import MaterialView
 from diffrender.shading.eye_ball import EyeView
 from diffrender.shading.eye_ball import example_inputs as eye_examples
+from diffrender.shading.hair_view import HairView
+from diffrender.shading.hair_view import example_inputs as hair_examples
 from diffrender.shading.lamp_examples import example_inputs as lit_examples
 from diffrender.shading.lamps import LitView
 from diffrender.shading.painted_surface import CarPaintView
@@ -179,6 +181,21 @@ def _hard_eyes() -> dict[str, EyeView]:
     }
 
 
+def _hard_strands() -> dict[str, HairView]:
+    """Strands nearly along the eye and along a light, lights that all stand behind them, and scales that lean far."""
+    seen = hair_examples(torch.float64)
+    near = torch.nn.functional.normalize(seen.to_eye + 2e-3 * seen.normal, dim=-1)
+    lights = seen.lights
+    along = lights.to_light[0] + torch.linspace(0.0, 0.02, len(near), dtype=torch.float64)[:, None] * seen.normal
+    behind = torch.nn.functional.normalize(lights.to_light * torch.tensor([-1.0, 1.0, 1.0]).double(), dim=-1)
+    return {
+        "along the eye": replace(seen, tangent=near),
+        "along a light": replace(seen, tangent=torch.nn.functional.normalize(along, dim=-1)),
+        "lights turned": replace(seen, lights=replace(lights, to_light=behind)),
+        "scales that lean": replace(seen, shift=3.0 * seen.shift),
+    }
+
+
 def _hard_lamps() -> dict[str, LitView]:
     """Lamps on the surface and just above it, at the eye's mirror, and by grazing eyes."""
     seen = lit_examples(torch.float64)
@@ -222,6 +239,7 @@ HARD: Mapping[str, Callable[[], Mapping[str, Any]]] = {
     "basic material": _hard_materials,
     "wetness": _hard_surfaces,
     "skin": _hard_skin,
+    "hair": _hard_strands,
     "transparent": _hard_layers,
     "car paint": _hard_paint,
     "eye": _hard_eyes,
