@@ -65,8 +65,8 @@ class Scene:
     car_paint: CarPaint | None = None
     eye: Eye | None = None
     skin: Skin | None = None
-    transparent: Transparent | None = None
     hair: Hair | None = None
+    transparent: Transparent | None = None
     rain: Rain | None = None
     local_lights: LocalLights | None = None
     sphere_light: SphereLight | None = None
