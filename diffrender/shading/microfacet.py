@@ -2,7 +2,7 @@
 
 Roughness is the one that artists set, from 0 to 1; the spread of the facets' slopes is its square [2]. All takes
 cosines between unit vectors. Nothing here is scattered twice between facets, so that rough surfaces lose light: of a
-white one at roughness 1 up to 60 %.
+white metal at roughness 1 up to 69 %.
 
 [1] K. Torrance, E. Sparrow, "Theory for off-specular reflection from roughened surfaces", JOSA 57(9), 1967.
 [2] B. Karis, "Real Shading in Unreal Engine 4", SIGGRAPH 2013 course "Physically Based Shading".
