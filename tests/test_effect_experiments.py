@@ -185,7 +185,7 @@ def followed(draw, kind):
 
 @pytest.fixture(autouse=True)
 def gain_among_effects(monkeypatch):
-    monkeypatch.setattr(effects, "EFFECTS", {**EFFECTS, "gain": effect_of(plain)})
+    monkeypatch.setattr(hard_places, "EFFECTS", {**EFFECTS, "gain": effect_of(plain)})
 
 
 @pytest.mark.parametrize("kind", ["value", "derivative", "gradient"])

@@ -112,12 +112,12 @@ def _shade(eye: Eye, far: Tensor) -> Tensor:
 
 
 def _picture(eye: Eye, view: EyeView, met: Tensor, far: Tensor) -> Tensor:
-    """Brightness of the iris' picture, its four nearest entries weighed."""
+    """Brightness of the iris' picture: the sum of all its entries, each with the weight of a tent."""
     rings, turns = view.iris.shape
     row = (far / eye.iris_radius * (rings - 1)).clip(max=rings - 1)
     column = (torch.atan2(met[..., 1], met[..., 0]) / (2 * math.pi) + 1) % 1 * (turns - 1)
-    found = torch.zeros_like(far)
-    for i in range(rings):
-        for j in range(turns):
-            found = found + (1 - (row - i).abs()).clip(min=0) * (1 - (column - j).abs()).clip(min=0) * view.iris[i, j]
-    return found
+    of_row, of_column = (
+        (1 - (place[..., None] - torch.arange(count)).abs()).clip(min=0)
+        for place, count in ((row, rings), (column, turns))
+    )
+    return torch.einsum("...r,rt,...t->...", of_row, view.iris, of_column)
