@@ -29,7 +29,7 @@ def lamp(intensity, vertical, horizontal, **changes):
 
 def read(tmp_path, text):
     path = tmp_path / "lamp.ies"
-    path.write_text(text, encoding="latin-1")
+    path.write_bytes(text.encode("latin-1"))
     return ies.read(path)
 
 
@@ -140,10 +140,59 @@ def test_multiplier_and_ballast_scale_the_intensity(tmp_path):
     assert scaled.keywords == {"TEST": "by formula", "MANUFAC": "no body"}
 
 
-@pytest.mark.parametrize("head", ["TILT=NONE\n", "IESNA91\nTILT=NONE\n", "IESNA:LM-63-1995\n[TEST] é\n TILT = NONE\n"])
+@pytest.mark.parametrize(
+    "head",
+    [
+        "TILT=NONE\n",
+        "IESNA91\nTILT=NONE\n",
+        "IESNA:LM-63-1995\n[TEST] é\n TILT = NONE\n",
+        "IES:LM-63-2019\nTILT=NONE\n",
+    ],
+)
 def test_all_years_are_read(head, tmp_path):
-    text = lamp(cosine, LOWER, [0], head=head.replace(" TILT = ", "TILT="))
+    text = lamp(cosine, LOWER, [0], head=head)
     assert float(light_profile.flux(read(tmp_path, text).profile)) == pytest.approx(math.pi, rel=5e-3)
+
+
+@pytest.mark.parametrize(
+    ("first", "factor"),
+    [
+        ("", 0.5),
+        ("IESNA:LM-63-1986\n", 0.5),
+        ("IESNA91\n", 0.5),
+        ("IESNA:LM-63-1995\n", 1.0),
+        ("IESNA:LM-63-2002\n", 1.0),
+        ("\xef\xbb\xbfIES:LM-63-2019\n", 1.0),
+    ],
+)
+def test_the_second_factor_counts_until_1991(first, factor, tmp_path):
+    text = lamp(constant, WHOLE, [0], head=f"{first}TILT=NONE\n").replace("\n1 1 20", "\n1 0.5 20")
+    found = float(light_profile.flux(read(tmp_path, text).profile))
+    assert found == pytest.approx(4.0 * math.pi * factor, rel=1e-3)
+
+
+def test_texts_of_dos_and_windows_are_read(tmp_path):
+    text = lamp(cosine, LOWER, [0], head="[MANUFAC] Lamps\x85 and more\nTILT=NONE\n").replace("\r\n", "\n")
+    plain = read(tmp_path, text)
+    for ended in ("\r\n", "\r"):
+        found = read(tmp_path, text.replace("\n", ended) + "\x1a")
+        assert torch.equal(found.profile.intensity, plain.profile.intensity)
+        assert found.keywords == plain.keywords == {"MANUFAC": "Lamps\x85 and more"}
+
+
+@pytest.mark.parametrize("angles", [list(range(90, 271, 15)), [90, 130, 170, 190, 270], [90, 270]])
+def test_half_a_lamp_from_90_to_270_is_mirrored_at_the_plane_of_90(angles, tmp_path):
+    def aside(down, turn):  # the same for turn and 180 - turn; linear in the triangle wave between 90 and 270
+        return 1.0 + 0.0 * down + 1.0 - abs((np.rad2deg(turn) - 90.0 + 180.0) % 360.0 - 180.0) / 180.0
+
+    found = read(tmp_path, lamp(aside, WHOLE, angles))
+    assert found.symmetry == "alike to both sides of the plane of 90 degrees"
+    turn = torch.linspace(0.0, 2.0 * math.pi, 73, dtype=torch.float64)
+    along = torch.stack([turn.cos(), turn.sin(), torch.zeros_like(turn)], -1)
+    wanted = torch.from_numpy(aside(np.zeros(73), turn.numpy()))
+    torch.testing.assert_close(light_profile.intensity_towards(found.profile, along), wanted, atol=1e-8, rtol=0.0)
+    assert (found.profile.horizontal[0], found.profile.horizontal[-1]) == (0.0, pytest.approx(2.0 * math.pi))
+    assert (found.profile.horizontal.diff() > 0.0).all()
 
 
 GOOD = lamp(cosine, [0, 45, 90], [0, 90])
@@ -151,12 +200,23 @@ REFUSED = {
     "no TILT line": (GOOD.replace("TILT=NONE", "TILD=NONE"), "no line that begins with TILT="),
     "tilted": (GOOD.replace("TILT=NONE", "TILT=INCLUDE"), "TILT=INCLUDE; allowed is TILT=NONE"),
     "newer": (GOOD.replace("2002", "2119"), "is of IESNA:LM-63-2119"),
+    "newer than 2019": (GOOD.replace("IESNA:LM-63-2002", "IES:LM-63-2025"), "is of IES:LM-63-2025"),
+    "another kind of file": ("# weather 1\nTIME_OF_DAY,12\n", "a weather file must not be named .ies"),
+    "too bright": (lamp(cosine, [0, 90], [0], multiplier="1e300"), "a peak of 1e+300 candela; allowed are 1e+12"),
+    "infinite": (lamp(beam, [0, 90], [0], multiplier="1e308"), "a peak of inf candela"),
+    "nothing times infinity": (
+        lamp(lambda down, turn: 0.0 * constant(down, turn), [0, 90], [0], multiplier="1e308", ballast="1e308"),
+        "a peak of nan candela",
+    ),
+    "fewer than no lamps": (GOOD.replace("\n1 1000 ", "\n-2 1000 "), "-2 lamps of 1000 lumens"),
+    "infinite lumens": (GOOD.replace("\n1 1000 ", "\n1e200 1e200 "), "1e+200 lamps of 1e+200 lumens"),
     "type B": (lamp(cosine, [0, 90], [0], type=2), "type B; allowed is type C"),
     "cut short": (GOOD.rsplit(None, 1)[0], "3 × 2 angles need 24"),
     "too long": (GOOD + " 1", "has 25 numbers"),
     "empty": ("", "no line that begins with"),
     "head only": (HEAD + "1 2 3", "has 3 numbers"),
     "a word": (GOOD + " candela", "'candela' in line"),
+    "parted thousands": (GOOD.replace("1 1000 1 ", "1 1_000 1 "), "'1_000' in line 6"),
     "not a number": (GOOD.replace(" 20", " nan"), "'nan' in line 7"),
     "falling angles": (lamp(cosine, [0, 50, 45, 90], [0]), "do not rise"),
     "starts within": (lamp(cosine, [10, 45, 90], [0]), "vertical angles from 10 to 90"),
@@ -164,7 +224,9 @@ REFUSED = {
     "half an angle": (GOOD.replace(" 3 2 1 2", " 3.5 2 1 2"), "3.5 vertical angles"),
     "far too many": (GOOD.replace(" 3 2 1 2", " 3e9 2 1 2"), "3e+09 vertical angles"),
     "negative": (lamp(lambda down, turn: -constant(down, turn), [0, 90], [0]), "intensity of -1 candela"),
-    "no ballast": (lamp(cosine, [0, 90], [0], ballast=0), "ballast factor 0"),
+    "no ballast": (lamp(cosine, [0, 90], [0], ballast=0), "ballast factor of 0"),
+    "no second factor": (GOOD.replace(HEAD, "TILT=NONE\n").replace("\n1 1 20", "\n1 0 20"), "a factor of 0"),
+    "neither half": (lamp(cosine, [0, 90], [90, 180]), "horizontal angles from 90 to 180"),
 }
 
 
@@ -181,7 +243,7 @@ def test_a_missing_and_a_huge_file_are_refused(tmp_path, monkeypatch):
     with pytest.raises(InputError, match="cannot be read"):
         ies.read(tmp_path / "none.ies")
     monkeypatch.setattr(ies, "LARGEST_BYTES", 10)
-    with pytest.raises(InputError, match="allowed are 10"):
+    with pytest.raises(InputError, match="more than the allowed 10 bytes"):
         read(tmp_path, GOOD)
 
 
