@@ -41,9 +41,10 @@ def _named(angle: int) -> str:
 
 
 def _path(intensity: list[float], peak: float) -> str:
-    over = RADIUS / peak if peak > 0.0 else 0.0
+    # Divided first: over the faintest lamps RADIUS / peak is infinite.
+    share = [one / peak if peak > 0.0 else 0.0 for one in intensity]
     angles = range(0, STEPS + 1, EVERY)
-    points = [_point(360.0 * place / STEPS - 180.0, over * intensity[place]) for place in angles]
+    points = [_point(360.0 * place / STEPS - 180.0, RADIUS * share[place]) for place in angles]
     return "M" + " L".join(f"{right:.2f},{down:.2f}" for right, down in points)
 
 

@@ -55,7 +55,7 @@ def sheet(lamp: Luminaire) -> Sheet:
     peak = float(profile.intensity.max())
     planes = tuple(_plane(lamp, horizontal, at_down) for horizontal in PLANES)
     first, last = (math.degrees(float(profile.vertical[end])) for end in (0, -1))
-    facts = {name.lower(): said for name, said in lamp.keywords.items() if said} | {
+    figures = {
         "symmetry": lamp.symmetry,
         "vertical angles": f"{len(profile.vertical)}, from {first:g} to {last:g} degrees; 0 is down",
         "horizontal angles": f"{len(profile.horizontal)} once it is whole, from 0 to 360 degrees",
@@ -66,7 +66,13 @@ def sheet(lamp: Luminaire) -> Sheet:
         "beam angle": _angles([(plane.horizontal, plane.beam) for plane in planes], "half"),
         "field angle": _angles([(plane.horizontal, plane.field) for plane in planes], "a tenth"),
     }
-    return Sheet(facts, peak, planes)
+    # What the file says under a figure's name stands beside the figure, in its brackets.
+    words = {
+        name.lower() if name.lower() not in figures else f"[{name}]": said
+        for name, said in lamp.keywords.items()
+        if said
+    }
+    return Sheet(words | figures, peak, planes)
 
 
 def text(sheet: Sheet, width: int) -> str:

@@ -54,6 +54,11 @@ def test_flux_stands_beside_what_the_file_states(told):
     assert "states none" in told(cosine, LOWER, [0], lumens=-1).facts["flux"]
 
 
+def test_what_a_file_says_under_a_figures_name_stands_beside_the_figure(told):
+    facts = told(cosine, LOWER, [0], head="[FLUX] 9 lm\n[Lamp] LED\nTILT=NONE\n").facts
+    assert (facts["[FLUX]"], facts["lamp"], facts["flux"][:7]) == ("9 lm", "LED", "3.14 lm")
+
+
 def test_a_dark_lamp_has_no_angles(told):
     sheet = told(lambda down, turn: 0.0 * constant(down, turn), [0, 90], [0])
     assert sheet.facts["peak"] == "0 cd: it is dark"
@@ -102,3 +107,9 @@ def test_a_bad_file_is_refused_in_one_line(run, tmp_path):
     status, told, complained = run("show", path)
     assert (status, told, complained.count("\n")) == (2, "", 1)
     assert "allowed is TILT=NONE" in complained
+
+
+def test_the_faintest_lamp_is_drawn_as_a_bright_one(told):
+    faint, bright = (lamp_page.html("a.ies", told(constant, WHOLE, [0], multiplier=by)) for by in ("1e-320", "1000"))
+    assert len(Paths(faint).paths) == 2
+    assert Paths(faint).paths == Paths(bright).paths
