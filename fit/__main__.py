@@ -1,6 +1,7 @@
 """The command line: reads, fits, writes; no mathematics."""
 
 import io
+import os
 import shutil
 import sys
 from dataclasses import replace
@@ -287,6 +288,8 @@ def show(
 
     use_threads()
     width = shutil.get_terminal_size().columns
+    if out is not None and os.path.realpath(out) == os.path.realpath(file):
+        raise InputError(f"--out {out} is the file that is shown; give another name")
     if file.suffix.lower() == ".ies":
         from fit import ies, lamp_page, lamp_sheet
 

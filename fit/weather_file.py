@@ -168,7 +168,8 @@ def _lines(file: str, path: Path) -> list[tuple[int, str]]:
     first = lines[0].rstrip(_PADDING).removeprefix('"')
     if first != FIRST_LINE:
         kind = "format" if first.startswith("# weather ") else "first line"
-        raise InputError(f"{file}, row 1, column 1: {kind} {_quoted(first)}; this fit reads only {FIRST_LINE!r}")
+        lamp = "; a lamp's photometric file must be named .ies" if first.startswith("IES") else ""
+        raise InputError(f"{file}, row 1, column 1: {kind} {_quoted(first)}; this fit reads only {FIRST_LINE!r}{lamp}")
     return list(enumerate(lines, start=1))
 
 

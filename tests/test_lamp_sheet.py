@@ -113,3 +113,21 @@ def test_the_faintest_lamp_is_drawn_as_a_bright_one(told):
     faint, bright = (lamp_page.html("a.ies", told(constant, WHOLE, [0], multiplier=by)) for by in ("1e-320", "1000"))
     assert len(Paths(faint).paths) == 2
     assert Paths(faint).paths == Paths(bright).paths
+
+
+def test_the_page_never_replaces_the_file_that_it_shows(run, tmp_path):
+    path = tmp_path / "weather.html"
+    path.write_text("# weather 1\nTIME_OF_DAY,12\nSKY_HAZINESS,0.5\n")
+    content = path.read_bytes()
+    status, told, complained = run("show", path, "--out", tmp_path / "." / "weather.html")
+    assert (status, told, complained.count("\n")) == (2, "", 1)
+    assert "is the file that is shown" in complained
+    assert path.read_bytes() == content
+
+
+def test_a_lamp_of_another_name_is_told_how_to_be_named(run, tmp_path):
+    path = tmp_path / "lamp.txt"
+    path.write_text(GOOD)
+    status, told, complained = run("show", path)
+    assert (status, told, complained.count("\n")) == (2, "", 1)
+    assert "must be named .ies" in complained
