@@ -70,7 +70,8 @@ def angles(direction: Float[Tensor, "*batch 3"]) -> tuple[Float[Tensor, "*batch"
     return torch.atan2(z, torch.hypot(x, y)), torch.atan2(y, x)
 
 
-def _unit(towards: Float[Tensor, "*batch 3"]) -> Float[Tensor, "*batch 3"]:
+def unit(towards: Float[Tensor, "*batch 3"]) -> Float[Tensor, "*batch 3"]:
+    """Unit vector along another, whose length is not 0."""
     length: Tensor = torch.linalg.vector_norm(towards, dim=-1, keepdim=True)
     return towards / length
 
@@ -117,7 +118,7 @@ class Perspective:
         left, up = self._on_plane(x, y)
         forward = torch.cos(left.new_tensor(self.pitch)), torch.sin(left.new_tensor(self.pitch))
         towards = torch.stack([forward[0] - up * forward[1], left, forward[1] + up * forward[0]], -1)
-        return _unit(towards)
+        return unit(towards)
 
     def solid_angle(self, x: Float[Tensor, "*batch"], y: Float[Tensor, "*batch"]) -> Float[Tensor, "*batch"]:
         """Solid angle of the pixel round a place [sr], by the density at its centre."""
@@ -178,7 +179,7 @@ class Cubemap:
         cell, across, down = self._in_cell(x, y)
         normal, right, below = self._axes(x).unbind(-2)
         towards = normal[cell] + across[..., None] * right[cell] + down[..., None] * below[cell]
-        return _unit(towards)
+        return unit(towards)
 
     def solid_angle(self, x: Float[Tensor, "*batch"], y: Float[Tensor, "*batch"]) -> Float[Tensor, "*batch"]:
         """Solid angle of the pixel round a place [sr]; 0 where a cell shows nothing."""

@@ -22,6 +22,7 @@ from torch import Tensor
 
 from diffrender.colour import srgb_decode, srgb_encode
 from diffrender.parameters import record
+from diffrender.rays import unit
 
 NORMAL_ERROR = 1.05e-3  # largest angle between a normal and what is unpacked of it [rad]
 
@@ -112,9 +113,7 @@ def _unfolded(normal: Float[Tensor, "*batch 3"]) -> Tensor:
 def _folded(place: Float[Tensor, "*batch 2"]) -> Tensor:
     """Unit normal at a place of the square from -1 to 1; its corners are the lower pole."""
     height = 1.0 - place.abs().sum(-1, keepdim=True)
-    normal = torch.cat([torch.where(height < 0.0, _turned_over(place), place), height], -1)
-    unit: Tensor = normal / torch.linalg.vector_norm(normal, dim=-1, keepdim=True)
-    return unit
+    return unit(torch.cat([torch.where(height < 0.0, _turned_over(place), place), height], -1))
 
 
 def _turned_over(place: Tensor) -> Tensor:

@@ -13,7 +13,7 @@ from torch import Tensor
 
 from diffrender.numerics import smooth_rise
 from diffrender.parameters import record
-from diffrender.rays import from_angles
+from diffrender.rays import from_angles, unit
 from diffrender.shading.hair_view import HairView
 from diffrender.surfaces import EvenSky, Lights
 
@@ -57,9 +57,9 @@ def picture_view(width: int, height: int) -> HairView:
     dice = torch.rand(STRANDS, 5, generator=torch.Generator().manual_seed(3), dtype=torch.float64)[strand % STRANDS]
     lean = WAVE * WAVES * torch.cos(wave) + 0.25 * (dice[..., 0] - 0.5) - 0.2 * side
     level = seen.normal[..., :2].norm(dim=-1)
-    tangent = _unit(seen.down + (lean * level)[..., None] * seen.around + 0.2 * (dice[..., 1:2] - 0.5) * seen.normal)
+    tangent = unit(seen.down + (lean * level)[..., None] * seen.around + 0.2 * (dice[..., 1:2] - 0.5) * seen.normal)
     normal = seen.normal + (0.7 * side)[..., None] * seen.around
-    normal = _unit(normal - (normal * tangent).sum(-1, keepdim=True) * tangent)
+    normal = unit(normal - (normal * tangent).sum(-1, keepdim=True) * tangent)
     length = 0.5 * math.pi - LOWEST + 0.35 * (dice[..., 2] - 0.5) + 0.2 * torch.cos(1.7 * lock)
     shown = (
         seen.is_hit
@@ -85,8 +85,8 @@ def _met(width: int, height: int) -> _Place:
     dome = up.clamp(min=0.0)
     square = 1.0 - left * left - dome * dome
     normal = torch.stack([-square.clamp(min=0.0).sqrt(), left, dome], -1)
-    normal = _unit(torch.where((square > 0.0)[..., None], normal, normal.new_tensor((-1.0, 0.0, 0.0))))
-    around = _unit(torch.linalg.cross(normal.new_tensor((0.0, 0.0, 1.0)).expand_as(normal), normal))
+    normal = unit(torch.where((square > 0.0)[..., None], normal, normal.new_tensor((-1.0, 0.0, 0.0))))
+    around = unit(torch.linalg.cross(normal.new_tensor((0.0, 0.0, 1.0)).expand_as(normal), normal))
     down = torch.linalg.cross(around, normal)
     run = torch.acos(normal[..., 2].clamp(-1.0, 1.0)) + (-up).clamp(min=0.0)
     azimuth = torch.atan2(normal[..., 1], normal[..., 0])
@@ -97,7 +97,3 @@ def _lights() -> Lights:
     up, turn = torch.tensor(LIGHTS, dtype=torch.float64).deg2rad().unbind(-1)
     irradiance, mean, gradient = (torch.tensor(one, dtype=torch.float64) for one in (IRRADIANCES, SKY, SKY_GRADIENT))
     return Lights(from_angles(up, turn), irradiance, EvenSky(mean, gradient))
-
-
-def _unit(vector: Tensor) -> Tensor:
-    return torch.nn.functional.normalize(vector, dim=-1)

@@ -11,7 +11,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from diffrender.rays import Camera, Perspective, from_angles, pixel_centres
+from diffrender.rays import Camera, Perspective, from_angles, pixel_centres, unit
 from diffrender.shading import brdf, ripples, trickles, wetness
 from diffrender.shading.drying import DryBoxes
 from diffrender.shading.wet_surface import Wetness, WetView
@@ -75,7 +75,7 @@ def wall(camera: Camera, weather: Weather) -> WetView:
     normal = torch.stack([-torch.ones_like(y), 0.02 * torch.sin(9.0 * y + 3.0 * z), 0.02 * torch.cos(7.0 * z)], -1)
     base = (0.34 * shade * (0.6 + 0.4 * joint))[..., None] * place.new_tensor((1.0, 0.86, 0.7))
     flat = torch.ones_like(y)
-    return view(weather, place, _unit(normal), to_eye, (base, 0.72 * flat, flat, flat))
+    return view(weather, place, unit(normal), to_eye, (base, 0.72 * flat, flat, flat))
 
 
 def radiance(rain: Wetness, view: WetView) -> Float[Tensor, "*batch 3"]:
@@ -156,7 +156,7 @@ def _bumped(place: Tensor, seen: Tensor) -> Tensor:
     slopes = [
         (_metres(x + dx, y + dy) - _metres(x - dx, y - dy)) / (2.0 * SMALL) for dx, dy in ((SMALL, 0.0), (0.0, SMALL))
     ]
-    return _unit(torch.stack([-slopes[0] * seen, -slopes[1] * seen, torch.ones_like(x)], -1))
+    return unit(torch.stack([-slopes[0] * seen, -slopes[1] * seen, torch.ones_like(x)], -1))
 
 
 def _metres(x: Tensor, y: Tensor) -> Tensor:
@@ -192,8 +192,3 @@ def _terrain(x: Tensor, y: Tensor) -> Tensor:
 def _hash(x: Tensor, y: Tensor) -> Tensor:
     turned = torch.sin(12.9898 * x + 78.233 * y) * 43758.5453
     return turned - turned.floor()
-
-
-def _unit(normal: Tensor) -> Tensor:
-    length: Tensor = normal.norm(dim=-1, keepdim=True)
-    return normal / length

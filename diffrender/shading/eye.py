@@ -24,6 +24,7 @@ from torch import Tensor
 
 from diffrender.effect import Effect, Rung
 from diffrender.numerics import lookup, safe_sqrt, smooth_rise
+from diffrender.rays import unit
 from diffrender.shading import brdf, clear_coat
 from diffrender.shading.brdf import Geometry
 from diffrender.shading.eye_ball import LEAST_DEPTH, Eye, EyeView, example_inputs
@@ -39,8 +40,8 @@ def deferred(eye: Eye, view: EyeView) -> Surface:
     """Iris, as it is seen through the cornea, and white as the basic material, as rough as can be."""
     seen = on_iris(eye, view)
     bowl = view.gaze - eye.iris_bowl * seen / torch.maximum(_length(seen), eye.iris_radius)[..., None]
-    normal = torch.lerp(_unit(view.place), _unit(bowl), iris_share(eye, view)[..., None])
-    return _matt(_unit(normal), _colour(eye, view, seen))
+    normal = torch.lerp(unit(view.place), unit(bowl), iris_share(eye, view)[..., None])
+    return _matt(unit(normal), _colour(eye, view, seen))
 
 
 def forward(eye: Eye, view: EyeView, lit: Float[Tensor, "*batch 3"]) -> Float[Tensor, "*batch 3"]:
@@ -66,7 +67,7 @@ def skip(eye: Eye, view: EyeView) -> Float[Tensor, "*batch 3"]:
 
 def painted(eye: Eye, view: EyeView) -> Surface:
     """A ball with a painted iris as the basic material."""
-    return _matt(_unit(view.place), _colour(eye, view, _across(view)))
+    return _matt(unit(view.place), _colour(eye, view, _across(view)))
 
 
 def _wet(eye: Eye, view: EyeView, lit: Tensor, ground: Surface) -> Tensor:
@@ -145,11 +146,6 @@ def _across(view: EyeView) -> Tensor:
 
 def _length(across: Tensor) -> Tensor:
     return safe_sqrt(across.square().sum(-1))
-
-
-def _unit(towards: Tensor) -> Tensor:
-    length: Tensor = torch.linalg.vector_norm(towards, dim=-1, keepdim=True)
-    return towards / length
 
 
 def _towards(view: EyeView, to_light: Tensor) -> Geometry:

@@ -41,6 +41,7 @@ from torch import Tensor
 from diffrender.effect import Effect, Rung
 from diffrender.numerics import safe_sqrt, smooth_rise
 from diffrender.parameters import record
+from diffrender.rays import unit
 from diffrender.shading import hair_fibre
 from diffrender.shading.hair_fibre import LEANS, Round, Ways
 from diffrender.shading.hair_reference import traced
@@ -193,9 +194,7 @@ def skip(hair: Hair, view: HairView) -> Float[Tensor, "*batch 3"]:
 
 def _leant(view: HairView, tilt: Tensor) -> Tensor:
     """Tangents turned towards the normal by an angle."""
-    turned = torch.cos(tilt)[..., None] * view.tangent + torch.sin(tilt)[..., None] * view.normal
-    length: Tensor = torch.linalg.vector_norm(turned, dim=-1, keepdim=True)
-    return turned / length
+    return unit(torch.cos(tilt)[..., None] * view.tangent + torch.sin(tilt)[..., None] * view.normal)
 
 
 def _half_highlight(tangent: Tensor, view: HairView, to_light: Tensor, variance: Tensor) -> Tensor:

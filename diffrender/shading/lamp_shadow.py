@@ -20,6 +20,7 @@ from torch import Tensor
 from diffrender.images import share_above
 from diffrender.numerics import safe_sqrt
 from diffrender.parameters import record
+from diffrender.rays import unit
 
 MARGIN = 2  # texels of a square at each side beyond what it shows: comparisons reach so far
 LIFT = 1.5  # of places off their surface [widths of a texel]
@@ -77,9 +78,7 @@ def from_octahedron(place: Float[Tensor, "*batch 2"]) -> Float[Tensor, "*batch 3
     behind = torch.relu(-ahead)
     # On the half behind, |own| + |other| is 1 more than that: 1 - |other|, as it is folded, is |own| less how far.
     parts = [one - one.sign() * behind for one in (right, down)]
-    towards = torch.stack([*parts, ahead], -1)
-    length: Tensor = torch.linalg.vector_norm(towards, dim=-1, keepdim=True)
-    return towards / length
+    return unit(torch.stack([*parts, ahead], -1))
 
 
 def span(cos_outer: Float[Tensor, "*lamps"], size: Int[Tensor, "*lamps"]) -> Float[Tensor, "*lamps"]:
@@ -142,7 +141,7 @@ def in_square(
 def _width(squares: Squares, place: Tensor) -> Tensor:
     """Of a texel at a place at most [m]: amid the octahedron's faces they are thrice as wide as at its corners."""
     way = safe_sqrt(place.square().sum(-1))
-    is_there = way == 0.0
+    is_none = way == 0.0
     along = place.abs().sum(-1)
-    widening = along * along / torch.where(is_there, torch.ones_like(way), way)
-    return 2.0 * squares.span / squares.size * torch.where(is_there, torch.ones_like(way), widening)
+    widening = along * along / torch.where(is_none, torch.ones_like(way), way)
+    return 2.0 * squares.span / squares.size * torch.where(is_none, torch.ones_like(way), widening)

@@ -14,6 +14,7 @@ from torch import Tensor
 
 from diffrender.numerics import gauss_legendre
 from diffrender.parameters import record
+from diffrender.rays import unit
 from diffrender.shading import brdf
 from diffrender.shading.brdf import Geometry
 from diffrender.shading.microfacet import LEAST_COSINE, spread_squared, visible_smith
@@ -66,17 +67,12 @@ def _frame(light: SphereLight, view: SphereView) -> _Frame:
     away = view.centre - view.position
     distance = away.norm(dim=-1)
     to_centre = away / distance[..., None]
-    mirror = _unit(2.0 * (view.normal * view.to_eye).sum(-1, keepdim=True) * view.normal - view.to_eye)
+    mirror = unit(2.0 * (view.normal * view.to_eye).sum(-1, keepdim=True) * view.normal - view.to_eye)
     aside = _across(mirror, to_centre)
     apart = torch.atan2(aside.norm(dim=-1), (mirror * to_centre).sum(-1))
     no_side = aside.norm(dim=-1, keepdim=True) < _NO_SIDE
-    towards = _unit(torch.where(no_side, _across(mirror, torch.eye(3).to(mirror)[mirror.abs().argmin(-1)]), aside))
+    towards = unit(torch.where(no_side, _across(mirror, torch.eye(3).to(mirror)[mirror.abs().argmin(-1)]), aside))
     return _Frame(mirror, towards, torch.linalg.cross(mirror, towards), apart, light.radius / distance)
-
-
-def _unit(vector: Tensor) -> Tensor:
-    length: Tensor = vector.norm(dim=-1, keepdim=True)
-    return vector / length
 
 
 def _across(axis: Tensor, vector: Tensor) -> Tensor:

@@ -28,6 +28,7 @@ from torch import Tensor
 from diffrender.effect import Effect, Rung
 from diffrender.numerics import opacity, smooth_rise
 from diffrender.parameters import record
+from diffrender.rays import unit
 from diffrender.shading import brdf, drying, ripples, trickles
 from diffrender.shading.brdf import Geometry, Material
 from diffrender.shading.microfacet import MIRROR_SPREAD, visible_schlick, visible_smith
@@ -151,7 +152,7 @@ def render_simple(wetness: Wetness, view: WetView) -> Float[Tensor, "*batch 3"]:
     dry = brdf.material(view.base, view.roughness, view.metallic)
     gloss = ((1.0 - dry.roughness) * (1.0 + wet * (SIMPLE_GLOSS - 1.0))).clamp(max=1.0)
     diffuse = dry.diffuse * (1.0 - wet * (1.0 - SIMPLE_ALBEDO))[..., None]
-    geometry = Geometry(_unit(view.normal), view.to_eye, view.to_light)
+    geometry = Geometry(unit(view.normal), view.to_eye, view.to_light)
     found = Material(diffuse, dry.straight, 1.0 - gloss)
     return view.irradiance * brdf.reflected(found, geometry, visible_schlick) + brdf.reflected_sky(
         found, geometry, view.sky
@@ -161,7 +162,7 @@ def render_simple(wetness: Wetness, view: WetView) -> Float[Tensor, "*batch 3"]:
 def skip(wetness: Wetness, view: WetView) -> Float[Tensor, "*batch 3"]:
     """The surface as if it were dry."""
     dry = brdf.material(view.base, view.roughness, view.metallic)
-    return _lit(dry, _unit(view.normal), view) + 0.0 * wetness.amount
+    return _lit(dry, unit(view.normal), view) + 0.0 * wetness.amount
 
 
 def _lit(found: Material, normal: Tensor, view: WetView) -> Tensor:
@@ -174,17 +175,12 @@ def _ringed(wetness: Wetness, view: WetView) -> Tensor:
     """Normal of water that rain falls on; not where roofs or boxes are, though water may still stand there."""
     rain = wetness.rain * view.open * drying.open_to_rain(view.boxes, view.position)
     lean = wetness.ripple_strength * ripples.slope(view.drops, view.position[..., :2], view.time, rain)
-    return _unit(torch.cat([lean, torch.ones_like(lean[..., :1])], -1))
+    return unit(torch.cat([lean, torch.ones_like(lean[..., :1])], -1))
 
 
 def _over(normal: Tensor, of_water: Tensor, found: Water) -> Tensor:
     """Unit normal of ground and water together."""
-    return _unit(torch.lerp(normal, of_water, found.flooded[..., None]))
-
-
-def _unit(normal: Tensor) -> Tensor:
-    length: Tensor = torch.linalg.vector_norm(normal, dim=-1, keepdim=True)
-    return normal / length
+    return unit(torch.lerp(normal, of_water, found.flooded[..., None]))
 
 
 def largest_change(wetness: Wetness, view: WetView) -> Float[Tensor, ""]:
