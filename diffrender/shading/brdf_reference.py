@@ -22,14 +22,20 @@ _SHARES, _TURNS = 160, 64  # facets
 
 def lit(surface: Surface, to_eye: Float[Tensor, "*#batch 3"], lights: Lights) -> Float[Tensor, "*batch 3"]:
     """Radiance of all lights and the sky that a surface sends to the eye [W/(m² sr)]."""
-    metal = surface.metallic[..., None]
-    straight = DIELECTRIC * (1 - metal) + surface.base * metal
-    of = Material(surface.base * (1 - metal), straight, surface.roughness)
+    of = material(surface.base, surface.roughness, surface.metallic)
     total = reflected_sky(of, Geometry(surface.normal, to_eye, to_eye), lights.sky)
     for to_light, irradiance in zip(lights.to_light, lights.irradiance, strict=True):
         towards = to_light + torch.zeros_like(surface.normal)
         total = total + irradiance * reflected(of, Geometry(surface.normal, to_eye, towards))
     return total
+
+
+def material(
+    base: Float[Tensor, "*#batch 3"], roughness: Float[Tensor, "*#batch"], metallic: Float[Tensor, "*#batch"]
+) -> Material:
+    """Material of a base colour."""
+    metal = metallic[..., None]
+    return Material(base * (1 - metal), DIELECTRIC * (1 - metal) + base * metal, roughness)
 
 
 def reflected(material: Material, geometry: Geometry) -> Float[Tensor, "*batch 3"]:
@@ -44,9 +50,9 @@ def reflected(material: Material, geometry: Geometry) -> Float[Tensor, "*batch 3
     # From the sine: the cosine of a mirror's facet has too few digits.
     sine = torch.linalg.cross(half, normal + torch.zeros_like(half)).norm(dim=-1)
     cos_facet, cos_half = (half * normal).sum(-1), (half * to_light).sum(-1)
-    spread = _spread(material)
+    spread = spread_of(material.roughness)
     facets = 1 / (math.pi * spread**2 * cos_facet**4 * (1 + (sine / cos_facet / spread) ** 2) ** 2)
-    seen = 1 / (1 + _hidden(cos_eye, spread) + _hidden(cos_light, spread))
+    seen = 1 / (1 + hidden(cos_eye, spread) + hidden(cos_light, spread))
     fresnel = material.straight + (1 - material.straight) * (1 - cos_half[..., None]) ** 5
     mirrored = fresnel * (facets * seen / (4 * cos_eye * cos_light))[..., None]
     crossed = (1 - (1 - cos_eye) ** 5) * (1 - (1 - cos_light) ** 5)
@@ -79,7 +85,7 @@ def reflected_sky(material: Material, geometry: Geometry, sky: EvenSky) -> Float
 
     eye = geometry.to_eye[..., None, None, :]
     cos_eye = (normal * geometry.to_eye).sum(-1).clip(LEAST_COSINE, 1)[..., None, None]
-    wide = (_spread(material) + torch.zeros_like(normal[..., 0]))[..., None, None]
+    wide = (spread_of(material.roughness) + torch.zeros_like(normal[..., 0]))[..., None, None]
     # Facets by the density D cos: most of them where little is left, in the tail.
     left = (share**3)[:, None]
     cos_facet = (1 / torch.sqrt(1 + wide**2 * (1 / left - 1))).expand(*wide.shape[:-2], _SHARES, _TURNS)
@@ -87,7 +93,7 @@ def reflected_sky(material: Material, geometry: Geometry, sky: EvenSky) -> Float
     cos_half = (facet * eye).sum(-1)
     light = 2 * cos_half[..., None] * facet - eye
     cos_light = torch.einsum("...i,...jki->...jk", normal, light)
-    seen = 1 / (1 + _hidden(cos_eye, wide) + _hidden(cos_light, wide))
+    seen = 1 / (1 + hidden(cos_eye, wide) + hidden(cos_light, wide))
     weight = seen * cos_half / (cos_eye * cos_facet) * (3 * share**2)[:, None]
     weight = torch.where((cos_half > 0) & (cos_light > 0), weight, 0 * weight)[..., None]
     fresnel = material.straight[..., None, None, :]
@@ -100,10 +106,11 @@ def reflected_sky(material: Material, geometry: Geometry, sky: EvenSky) -> Float
     return sent
 
 
-def _spread(material: Material) -> Tensor:
-    return torch.sqrt(material.roughness**4 + MIRROR_SPREAD**2)
+def spread_of(roughness: Float[Tensor, "*batch"]) -> Float[Tensor, "*batch"]:
+    """Spread of facets' slopes."""
+    return torch.sqrt(roughness**4 + MIRROR_SPREAD**2)
 
 
-def _hidden(cosine: Tensor, spread: Tensor) -> Tensor:
-    """Smith's Lambda of GGX."""
+def hidden(cosine: Float[Tensor, "*#batch"], spread: Float[Tensor, "*#batch"]) -> Float[Tensor, "*batch"]:
+    """Smith's Lambda of GGX: facets that others hide from a direction, over those that are seen."""
     return 0.5 * (torch.sqrt(1 + spread**2 * (1 / cosine**2 - 1)) - 1)

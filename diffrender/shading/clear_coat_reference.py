@@ -10,7 +10,8 @@ import math
 import torch
 from torch import Tensor
 
-from diffrender.shading.microfacet import LEAST_COSINE, MIRROR_SPREAD
+from diffrender.shading.brdf_reference import hidden, spread_of
+from diffrender.shading.microfacet import LEAST_COSINE
 
 _SHARES, _TURNS = 160, 64  # facets
 
@@ -25,20 +26,15 @@ def fresnel(index: float, angle: Tensor) -> Tensor:
     return (across**2 + within**2) / 2
 
 
-def _hidden(cosine: Tensor, spread: Tensor) -> Tensor:
-    """Smith's Lambda of GGX."""
-    return 0.5 * (torch.sqrt(1 + spread**2 * (1 / cosine**2 - 1)) - 1)
-
-
 def mirrored(index: float, roughness: Tensor, eye: Tensor, light: Tensor) -> Tensor:
     """BRDF of the coat's surface."""
-    spread = torch.sqrt(roughness**4 + MIRROR_SPREAD**2)
+    spread = spread_of(roughness)
     risen = light[..., 2] > 0
     light = torch.where(risen[..., None], light, light.new_tensor([0.0, 0.0, 1.0]))
     half = (eye + light) / (eye + light).norm(dim=-1, keepdim=True)
     tangent = half[..., :2].norm(dim=-1) / half[..., 2]
     share = 1 / (math.pi * spread**2 * half[..., 2] ** 4 * (1 + (tangent / spread) ** 2) ** 2)
-    seen = 1 / (1 + _hidden(eye[..., 2], spread) + _hidden(light[..., 2], spread))
+    seen = 1 / (1 + hidden(eye[..., 2], spread) + hidden(light[..., 2], spread))
     angle = torch.acos((half * eye).sum(-1).clip(0, 1))
     found = fresnel(index, angle) * share * seen / (4 * eye[..., 2] * light[..., 2])
     return torch.where(risen, found, 0 * found)
@@ -46,7 +42,7 @@ def mirrored(index: float, roughness: Tensor, eye: Tensor, light: Tensor) -> Ten
 
 def facets(index: float, roughness: Tensor, eye: Tensor) -> tuple[Tensor, Tensor]:
     """Weights of facets as an eye meets them with the coat's Fresnel, and the directions that they mirror it to."""
-    spread = torch.sqrt(roughness**4 + MIRROR_SPREAD**2)
+    spread = spread_of(roughness)
     share = ((torch.arange(_SHARES, dtype=eye.dtype) + 0.5) / _SHARES)[:, None]
     turn = (torch.arange(_TURNS, dtype=eye.dtype) + 0.5) * (2 * math.pi / _TURNS)
     tangent = spread * torch.sqrt(1 / share**3 - 1)
@@ -58,7 +54,7 @@ def facets(index: float, roughness: Tensor, eye: Tensor) -> tuple[Tensor, Tensor
     light = 2 * cos_half[..., None] * facet - towards
     seen = (cos_half > 0) & (light[..., 2] > 0)
     risen = torch.where(seen, light[..., 2], 1 + 0 * cos_half)
-    reach = 1 / (1 + _hidden(towards[..., 2], spread) + _hidden(risen, spread))
+    reach = 1 / (1 + hidden(towards[..., 2], spread) + hidden(risen, spread))
     weight = 3 * share**2 * reach * cos_half / (towards[..., 2] * cosine) / (_SHARES * _TURNS)
     weight = weight * fresnel(index, torch.acos(cos_half.clip(0, 1)))
     return torch.where(seen, weight, 0 * weight), light

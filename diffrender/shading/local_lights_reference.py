@@ -1,11 +1,8 @@
 """Light of many lamps by slow and plain means: lamp by lamp, with no formula of the fast one but its model.
 
-A lamp's disc is summed ring by ring. Facets are Walter's [1] by the tangents of their angles, Smith's function of both
-directions together [2]. Profiles and maps of shadows are looked up corner by corner, each with the weight of a tent:
-every texel of a lamp's square by how near it is on the octahedron, which is unfolded face by face.
-
-[1] B. Walter et al., "Microfacet Models for Refraction through Rough Surfaces", EGSR 2007, section 5.
-[2] E. Heitz, "Understanding the Masking-Shadowing Function in Microfacet-Based BRDFs", JCGT 3(2), 2014, section 5.3.
+A lamp's disc is summed ring by ring, and what surfaces reflect is that of `brdf_reference`. Profiles and maps of
+shadows are looked up corner by corner, each with the weight of a tent: every texel of a lamp's square by how near it is
+on the octahedron, which is unfolded face by face.
 """
 
 import itertools
@@ -15,11 +12,11 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from diffrender.shading.brdf import DIELECTRIC
+from diffrender.shading.brdf import Geometry
+from diffrender.shading.brdf_reference import material, reflected
 from diffrender.shading.lamp_shadow import LIFT, Shadows
 from diffrender.shading.lamps import Lamps, LitView, LocalLights, Places
 from diffrender.shading.light_profile import Profiles
-from diffrender.shading.microfacet import LEAST_COSINE, MIRROR_SPREAD
 
 _RINGS = 16  # of equal area
 
@@ -46,7 +43,9 @@ def _of_lamp(lights: LocalLights, view: LitView, lamp: Lamps) -> Tensor:
     strength = _disc(distance, lights.source_radius) * window * _cone(lamp, to_light)
     if view.profiles is not None and lamp.profile >= 0:
         strength = strength * _profile(view.profiles, lamp, to_light)
-    return lamp.intensity * strength[..., None] * _reflected(view.places, to_light)
+    places = view.places
+    of = material(places.base, places.roughness, places.metallic)
+    return lamp.intensity * strength[..., None] * reflected(of, Geometry(places.normal, places.to_eye, to_light))
 
 
 def _disc(distance: Tensor, radius: Tensor) -> Tensor:
@@ -122,28 +121,3 @@ def _unfolded(lamp: Lamps, away: Tensor) -> Tensor:
         flat = torch.stack([x, y] if front > 0 else [right * (1 - y * up), up * (1 - x * right)], -1)
         total = torch.where(is_here[..., None], flat, total)
     return total
-
-
-def _reflected(places: Places, to_light: Tensor) -> Tensor:
-    """BRDF times the light's cosine: facets above ground that is lit and seen through their Fresnel."""
-    cos_light = (places.normal * to_light).sum(-1)
-    cos_eye = (places.normal * places.to_eye).sum(-1).clamp(LEAST_COSINE, 1)
-    is_lit = cos_light > 0
-    cos_light = torch.where(is_lit, cos_light, 0.5)
-    half = to_light + places.to_eye
-    half = half / half.norm(dim=-1, keepdim=True)
-    spread_square = places.roughness**4 + MIRROR_SPREAD**2
-    # From the sine: the cosine of a mirror's facet has too few digits.
-    sine = torch.linalg.cross(half, places.normal).norm(dim=-1)
-    cosine = (half * places.normal).sum(-1)
-    tangent_square = (sine / cosine) ** 2
-    density = spread_square / (math.pi * cosine**4 * (spread_square + tangent_square) ** 2)
-    hidden = sum((torch.sqrt(1 + spread_square * (c**-2 - 1)) - 1) / 2 for c in (cos_eye, cos_light))
-    facets = density / (1 + hidden) / (4 * cos_eye * cos_light)
-    metal = places.metallic[..., None]
-    straight = DIELECTRIC * (1 - metal) + places.base * metal
-    mirrored = straight + (1 - straight) * ((1 - (half * to_light).sum(-1)) ** 5)[..., None]
-    crossed = (1 - (1 - cos_light) ** 5) * (1 - (1 - cos_eye) ** 5)
-    ground = places.base * (1 - metal) * (1 - straight) * (crossed / math.pi)[..., None]
-    sent = (mirrored * facets[..., None] + ground) * cos_light[..., None]
-    return torch.where(is_lit[..., None], sent, 0.0)

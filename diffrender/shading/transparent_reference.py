@@ -16,7 +16,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from diffrender.parameters import record
-from diffrender.shading.microfacet import MIRROR_SPREAD
+from diffrender.shading.brdf_reference import hidden, spread_of
 from diffrender.shading.transparent_view import TINTED_THICKNESS, Transparent, TransparentView
 from diffrender.surfaces import EvenSky
 
@@ -73,8 +73,8 @@ def _of_sky(met: _Met, sky: EvenSky) -> tuple[Tensor, Tensor]:
     cos_eye, cos_half = ((met.to_eye * one).sum(-1) for one in (met.normal, facet))
     to_light = 2 * cos_half[..., None] * facet - met.to_eye
     cos_light = (to_light * met.normal).sum(-1)
-    from_eye = 1 + _hiding(cos_eye, spread)
-    escapes = from_eye / (from_eye + _hiding(cos_light, spread))
+    from_eye = 1 + hidden(cos_eye, spread)
+    escapes = from_eye / (from_eye + hidden(cos_light, spread))
     escapes = torch.where(cos_light > 0, escapes, 0 * escapes)
     # Facets as the eye sees them, by the density with which they are drawn.
     weight = share**2 * cos_half / cos_facet
@@ -92,7 +92,7 @@ def _of_light(met: _Met, to_light: Tensor) -> Tensor:
     spread = _spread(met)
     tangent = torch.linalg.cross(met.normal, half).norm(dim=-1) / cos_facet
     facets = 1 / (math.pi * spread**2 * cos_facet**4 * (1 + (tangent / spread) ** 2) ** 2)
-    seen = 1 / (1 + _hiding(cos_eye, spread) + _hiding(cos_light, spread))
+    seen = 1 / (1 + hidden(cos_eye, spread) + hidden(cos_light, spread))
     back, _ = _followed(replace(met, normal=half), half, torch.ones_like(cos_facet))
     shone = back * (facets * seen / (4 * cos_eye))[..., None]
     return torch.where((cos_light > 0)[..., None], shone, 0 * shone)[..., 0, 0, :]
@@ -158,9 +158,4 @@ def _middles(count: int) -> Tensor:
 
 
 def _spread(met: _Met) -> Tensor:
-    return torch.sqrt(met.glass.roughness[..., None, None] ** 4 + MIRROR_SPREAD**2)
-
-
-def _hiding(cosine: Tensor, spread: Tensor) -> Tensor:
-    """Smith's Lambda of GGX."""
-    return 0.5 * (torch.sqrt(1 + spread**2 * (1 / cosine**2 - 1)) - 1)
+    return spread_of(met.glass.roughness[..., None, None])

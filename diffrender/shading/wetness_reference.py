@@ -14,8 +14,8 @@ from jaxtyping import Float
 from torch import Tensor
 
 from diffrender.shading import ripples, trickles
-from diffrender.shading.brdf import DIELECTRIC, Geometry, Material
-from diffrender.shading.brdf_reference import reflected, reflected_sky
+from diffrender.shading.brdf import Geometry, Material
+from diffrender.shading.brdf_reference import material, reflected, reflected_sky
 from diffrender.shading.wet_surface import LEVEL, POROUS_FROM, POROUS_OVER, SHORE, STEEP, WATER, Wetness, WetView
 
 _STEPS = 256  # of time
@@ -41,7 +41,7 @@ def reference(wetness: Wetness, view: WetView) -> Float[Tensor, "*batch 3"]:
     factor = torch.lerp(one, wetness.soaked_albedo.expand_as(one), (1 - view.metallic) * porosity)
     diffuse = view.base * (1 - view.metallic[..., None]) * torch.lerp(one, factor, wet)[..., None]
     gloss = torch.lerp(torch.lerp(one, gloss, torch.lerp(one, factor, 0.5 * wet)), one, mirror)
-    straight = DIELECTRIC * (1 - view.metallic[..., None]) + view.base * view.metallic[..., None]
+    straight = material(view.base, view.roughness, view.metallic).straight
     straight = straight * (1 - mirror[..., None]) + WATER * mirror[..., None]
     normal = view.normal + strength[..., None] * lean
     level = _ringed(wetness, view, wetness.rain * rained)
