@@ -36,10 +36,8 @@ from diffrender.effect import Effect, Rung
 from diffrender.shading import brdf, clear_coat, flakes
 from diffrender.shading.brdf import Geometry
 from diffrender.shading.car_paint_reference import reference
-from diffrender.shading.painted_surface import CarPaint, CarPaintView, example_inputs
+from diffrender.shading.painted_surface import VARNISH, CarPaint, CarPaintView, example_inputs
 from diffrender.surfaces import Surface
-
-VARNISH = 1.5  # index of refraction
 
 Density = Callable[[CarPaint, CarPaintView, Tensor], Tensor]  # of flakes about a slope
 

@@ -15,9 +15,8 @@ from diffrender.shading import brdf, flakes
 from diffrender.shading.brdf import Geometry
 from diffrender.shading.clear_coat_reference import crossed, facets, fresnel, mirrored
 from diffrender.shading.microfacet import LEAST_COSINE
-from diffrender.shading.painted_surface import CarPaint, CarPaintView
+from diffrender.shading.painted_surface import VARNISH, CarPaint, CarPaintView
 
-_INDEX = 1.5
 _SHARES, _TURNS = 160, 64  # facets and flakes
 _RISES, _AROUND = 24, 48  # directions of the sky over the base coat
 
@@ -33,7 +32,7 @@ def reference(paint: CarPaint, view: CarPaintView) -> Float[Tensor, "*batch 3"]:
     for to_light, irradiance in zip(view.lights.to_light, view.lights.irradiance, strict=True):
         light = torch.einsum("...ij,...j", frame, to_light.expand_as(view.normal))
         cosine = light[..., 2].clip(0, 1)
-        total = total + irradiance * (mirrored(_INDEX, paint.coat_roughness, eye, light) * cosine)[..., None]
+        total = total + irradiance * (mirrored(VARNISH, paint.coat_roughness, eye, light) * cosine)[..., None]
         entered = irradiance * _through(paint, light)
         ground = brdf.reflected(_matt(paint, eye), Geometry(_up(eye), eye, light))
         flaked = paint.flake_colour * (_glint(paint, view, eye, light) * cosine)[..., None]
@@ -54,8 +53,8 @@ def _through(paint: CarPaint, direction: Tensor) -> Tensor:
     """Share that crosses the coat's surface and depth from or to a direction."""
     direction = torch.cat([direction[..., :2], direction[..., 2:].clip(LEAST_COSINE, 1)], -1)
     length = direction / direction.norm(dim=-1, keepdim=True)
-    surface = crossed(_INDEX, paint.coat_roughness, direction)
-    bent = torch.asin(torch.sin(torch.acos(length[..., 2].clip(0, 1))) / _INDEX)
+    surface = crossed(VARNISH, paint.coat_roughness, direction)
+    bent = torch.asin(torch.sin(torch.acos(length[..., 2].clip(0, 1))) / VARNISH)
     return surface[..., None] * torch.exp(-paint.coat_depth / torch.cos(bent)[..., None])
 
 
@@ -67,7 +66,7 @@ def _sky(view: CarPaintView, frame: Tensor, direction: Tensor) -> Tensor:
 
 
 def _coat_of_sky(paint: CarPaint, view: CarPaintView, frame: Tensor, eye: Tensor) -> Tensor:
-    weight, light = facets(_INDEX, paint.coat_roughness, eye)
+    weight, light = facets(VARNISH, paint.coat_roughness, eye)
     return (weight[..., None] * _sky(view, frame, light)).sum((-3, -2))
 
 
@@ -93,12 +92,12 @@ def _out(slope: Tensor, inside: Tensor) -> Tensor:
     flake = torch.stack([slope[0], slope[1], torch.ones_like(slope[0])])
     flake = flake / flake.norm()
     mirrored: Tensor = 2 * (flake @ inside) * flake - inside
-    return _INDEX * mirrored[:2]
+    return VARNISH * mirrored[:2]
 
 
 def _inside(direction: Tensor) -> Tensor:
-    angle = torch.asin(direction[..., :2].norm(dim=-1, keepdim=True).clip(max=1) / _INDEX)
-    return torch.cat([direction[..., :2] / _INDEX, torch.cos(angle)], -1)
+    angle = torch.asin(direction[..., :2].norm(dim=-1, keepdim=True).clip(max=1) / VARNISH)
+    return torch.cat([direction[..., :2] / VARNISH, torch.cos(angle)], -1)
 
 
 def _glint(paint: CarPaint, view: CarPaintView, eye: Tensor, light: Tensor) -> Tensor:
@@ -136,10 +135,10 @@ def _flakes_of_sky(paint: CarPaint, view: CarPaintView, frame: Tensor, eye: Tens
     facing = (flake * inside).sum(-1) / inside[..., 2]
     flake = flake / flake.norm(dim=-1, keepdim=True)
     light = 2 * (flake * inside).sum(-1, keepdim=True) * flake - inside
-    sine = _INDEX * light[..., :2].norm(dim=-1)
+    sine = VARNISH * light[..., :2].norm(dim=-1)
     leaves = (sine < 1) & (light[..., 2] > 0) & (facing > 0)
-    outside = torch.cat([_INDEX * light[..., :2], torch.cos(torch.asin(sine.clip(max=1)))[..., None]], -1)
-    through = (1 - fresnel(_INDEX, torch.asin(sine.clip(max=1)))) * facing / (_SHARES * _TURNS)
+    outside = torch.cat([VARNISH * light[..., :2], torch.cos(torch.asin(sine.clip(max=1)))[..., None]], -1)
+    through = (1 - fresnel(VARNISH, torch.asin(sine.clip(max=1)))) * facing / (_SHARES * _TURNS)
     depth = torch.exp(-paint.coat_depth / light[..., 2:].abs())
     found = torch.where(leaves[..., None], through[..., None] * depth * _sky(view, frame, outside), 0 * outside)
     return paint.flake_colour * found.sum((-3, -2))

@@ -27,13 +27,9 @@ from diffrender.numerics import lookup, safe_sqrt, smooth_rise
 from diffrender.rays import unit
 from diffrender.shading import brdf, clear_coat
 from diffrender.shading.brdf import Geometry
-from diffrender.shading.eye_ball import LEAST_DEPTH, Eye, EyeView, example_inputs
+from diffrender.shading.eye_ball import LEAST_DESCENT, PUPIL_EDGE, RIM_LEFT, TEARS, Eye, EyeView, example_inputs
 from diffrender.shading.eye_reference import reference
 from diffrender.surfaces import Surface
-
-TEARS = 1.336  # index of refraction
-PUPIL_EDGE = 0.02  # width of its soft border [eyeball radii]
-RIM_LEFT = 0.2  # share of its colour that the iris keeps at its rim
 
 
 def deferred(eye: Eye, view: EyeView) -> Surface:
@@ -108,7 +104,7 @@ def on_iris(eye: Eye, view: EyeView) -> Float[Tensor, "*batch 3"]:
     inside = clear_coat.bent(eye.refraction, view.normal, view.to_eye)
     height = (view.place * view.gaze).sum(-1) - torch.sqrt(1.0 - eye.iris_radius.square()) + eye.iris_depth
     descent = (inside * view.gaze).sum(-1)
-    run = height / descent.clamp(min=LEAST_DEPTH)
+    run = height / descent.clamp(min=LEAST_DESCENT)
     return _across(view) - run[..., None] * (inside - descent[..., None] * view.gaze)
 
 

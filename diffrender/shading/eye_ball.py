@@ -15,7 +15,10 @@ from diffrender.rays import from_angles
 from diffrender.surfaces import EvenSky, Lights
 
 CORNEA = 0.65  # radius of its ball: 7.8 mm, as of Gullstrand's eye
-LEAST_DEPTH = 0.1  # descent of a bent ray along the gaze that iris are looked for with; flatter ones end outside
+LEAST_DESCENT = 0.1  # along the gaze, of a bent ray that is followed to the iris; flatter ones end beside it
+PUPIL_EDGE = 0.02  # width of the pupil's soft border [eyeball radii]
+RIM_LEFT = 0.2  # share of its colour that the iris keeps at its rim
+TEARS = 1.336  # index of refraction of their film
 
 
 @record

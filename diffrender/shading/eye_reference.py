@@ -14,10 +14,9 @@ from diffrender.sampling import fibonacci
 from diffrender.shading import brdf
 from diffrender.shading.brdf import Geometry
 from diffrender.shading.clear_coat_reference import crossed, facets, mirrored
-from diffrender.shading.eye_ball import LEAST_DEPTH, Eye, EyeView
+from diffrender.shading.eye_ball import LEAST_DESCENT, PUPIL_EDGE, RIM_LEFT, TEARS, Eye, EyeView
 from diffrender.shading.microfacet import LEAST_COSINE
 
-_TEARS, _EDGE, _RIM_LEFT = 1.336, 0.02, 0.2
 _DIRECTIONS = 1500  # of the sky
 
 
@@ -27,7 +26,7 @@ def reference(eye: Eye, view: EyeView) -> Float[Tensor, "*batch 3"]:
     base, normal = _ground(eye, view)
     one = torch.ones_like(normal[..., 0])
     matt = brdf.material(base, one, 0 * one)
-    weight, mirror = facets(_TEARS, eye.wet_roughness, seen_from)
+    weight, mirror = facets(TEARS, eye.wet_roughness, seen_from)
     total = (weight[..., None] * _sky(view, torch.einsum("...ji,...klj->...kli", frame, mirror))).sum((-3, -2))
     parts = fibonacci(_DIRECTIONS, normal.dtype)
     below = 0 * base
@@ -39,11 +38,11 @@ def reference(eye: Eye, view: EyeView) -> Float[Tensor, "*batch 3"]:
     for to_light, irradiance in zip(view.lights.to_light, view.lights.irradiance, strict=True):
         towards = to_light.expand_as(normal)
         light = torch.einsum("...ij,...j", frame, towards)
-        shine = mirrored(_TEARS, eye.wet_roughness, seen_from, light) * light[..., 2].clip(0, 1)
+        shine = mirrored(TEARS, eye.wet_roughness, seen_from, light) * light[..., 2].clip(0, 1)
         ground = brdf.reflected(matt, Geometry(normal, view.to_eye, towards))
         entered = _entered(eye, frame, towards[..., None, :])
         total, below = total + irradiance * shine[..., None], below + irradiance * ground * entered
-    return total + crossed(_TEARS, eye.wet_roughness, seen_from)[..., None] * below
+    return total + crossed(TEARS, eye.wet_roughness, seen_from)[..., None] * below
 
 
 def _repeated(matt: brdf.Material) -> brdf.Material:
@@ -67,7 +66,7 @@ def _sky(view: EyeView, direction: Tensor) -> Tensor:
 def _entered(eye: Eye, frame: Tensor, towards: Tensor) -> Tensor:
     """What crosses the tears from directions, by a table over the cosine's root; from below as at the horizon."""
     root = torch.linspace(0, 1, 129, dtype=towards.dtype)
-    table = crossed(_TEARS, eye.wet_roughness, torch.stack([torch.sqrt(1 - root**4), 0 * root, root**2], -1))
+    table = crossed(TEARS, eye.wet_roughness, torch.stack([torch.sqrt(1 - root**4), 0 * root, root**2], -1))
     cosine = torch.einsum("...j,...kj->...k", frame[..., 2, :], towards).clip(LEAST_COSINE, 1)
     place = torch.sqrt(cosine) * 128
     lower = place.long().clip(max=127)
@@ -87,7 +86,7 @@ def _ground(eye: Eye, view: EyeView) -> tuple[Tensor, Tensor]:
     depth = torch.cos(torch.asin(eye.iris_radius)) - eye.iris_depth
     start = torch.einsum("...ij,...j", axes, view.place)
     step = torch.einsum("...ij,...j", axes, ray)
-    steps = (start[..., 2] - depth) / (-step[..., 2]).clip(min=LEAST_DEPTH)
+    steps = (start[..., 2] - depth) / (-step[..., 2]).clip(min=LEAST_DESCENT)
     met = start[..., :2] + steps[..., None] * step[..., :2]
     far = met.norm(dim=-1)
     iris = eye.iris_colour * (_picture(eye, view, met, far) * _shade(eye, far))[..., None]
@@ -108,7 +107,7 @@ def _rise(x: Tensor) -> Tensor:
 
 def _shade(eye: Eye, far: Tensor) -> Tensor:
     rim = _rise((far - eye.iris_radius + eye.limbus_width) / eye.limbus_width)
-    return (1 - rim + rim * _RIM_LEFT) * _rise((far - eye.pupil_radius + _EDGE / 2) / _EDGE)
+    return (1 - rim + rim * RIM_LEFT) * _rise((far - eye.pupil_radius + PUPIL_EDGE / 2) / PUPIL_EDGE)
 
 
 def _picture(eye: Eye, view: EyeView, met: Tensor, far: Tensor) -> Tensor:

@@ -9,6 +9,8 @@ from diffrender.rays import from_angles
 from diffrender.shading.flakes import WIDEST
 from diffrender.surfaces import EvenSky, Lights
 
+VARNISH = 1.5  # index of refraction of the clear coat
+
 
 @record
 class CarPaint:
