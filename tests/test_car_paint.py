@@ -106,7 +106,7 @@ def test_light_and_eye_may_be_exchanged():
 
 def test_directions_are_bent_by_snells_law_in_their_own_plane():
     outside = from_angles(torch.linspace(0.0, 1.57, 20, dtype=FLOAT), torch.linspace(0.0, 5.0, 20, dtype=FLOAT))
-    inside = clear_coat.bent(1.5, UP, outside)
+    inside = clear_coat.refracted(1.5, UP, outside)
     torch.testing.assert_close(1.5 * inside[:, :2], outside[:, :2], rtol=1e-12, atol=1e-15)
     torch.testing.assert_close(torch.linalg.vector_norm(inside, dim=-1), torch.ones(20, dtype=FLOAT))
     assert inside[:, 2].min() > 0.745

@@ -65,7 +65,7 @@ def render_smooth(paint: CarPaint, view: CarPaintView) -> Float[Tensor, "*batch 
 
 def render_coat(paint: CarPaint, view: CarPaintView) -> Float[Tensor, "*batch 3"]:
     """The base coat under the clear coat, without flakes."""
-    return coat(paint, view) + skip(paint, view) * entered(paint, view) * left(paint, view, view.to_eye)
+    return coat(paint, view) + skip(paint, view) * entered(paint, view) * transmitted(paint, view, view.to_eye)
 
 
 def skip(paint: CarPaint, view: CarPaintView) -> Float[Tensor, "*batch 3"]:
@@ -75,7 +75,7 @@ def skip(paint: CarPaint, view: CarPaintView) -> Float[Tensor, "*batch 3"]:
 
 def _layered(paint: CarPaint, view: CarPaintView, lit: Tensor, density: Density) -> Tensor:
     below = (1.0 - paint.flake_amount) * entered(paint, view) * lit + paint.flake_amount * flaked(paint, view, density)
-    return coat(paint, view) + left(paint, view, view.to_eye) * below
+    return coat(paint, view) + transmitted(paint, view, view.to_eye) * below
 
 
 def coat(paint: CarPaint, view: CarPaintView) -> Float[Tensor, "*batch 3"]:
@@ -87,7 +87,7 @@ def coat(paint: CarPaint, view: CarPaintView) -> Float[Tensor, "*batch 3"]:
     return total
 
 
-def left(paint: CarPaint, view: CarPaintView, towards: Float[Tensor, "*#batch 3"]) -> Float[Tensor, "*batch 3"]:
+def transmitted(paint: CarPaint, view: CarPaintView, towards: Float[Tensor, "*#batch 3"]) -> Float[Tensor, "*batch 3"]:
     """Share of light from or to a direction that gets through the clear coat's surface and its depth."""
     cosine = (view.normal * towards).sum(-1).clamp(0.0, 1.0)
     through = clear_coat.crossed(VARNISH, paint.coat_roughness, cosine)
@@ -100,7 +100,7 @@ def within(cosine: Float[Tensor, "*batch"]) -> Float[Tensor, "*batch"]:
 
 
 def entered(paint: CarPaint, view: CarPaintView) -> Float[Tensor, "*batch 3"]:
-    """Mean of what `left` of the lights and the sky, weighed by what they give the ground; 1 where all is dark."""
+    """Mean share `transmitted` of lights and sky, weighed by what each gives the ground; 1 where all is dark."""
     cosine, weight = (one.to(view.normal) for one in clear_coat.to_ground_nodes())
     through = clear_coat.crossed(VARNISH, paint.coat_roughness, cosine)[:, None]
     through = through * torch.exp(-paint.coat_depth / within(cosine)[:, None])
@@ -110,14 +110,14 @@ def entered(paint: CarPaint, view: CarPaintView) -> Float[Tensor, "*batch 3"]:
     passed = (even * through).sum(0) * sky.mean + (along * through).sum(0) * up * sky.gradient
     for to_light, irradiance in zip(view.lights.to_light, view.lights.irradiance, strict=True):
         ground = irradiance * clear_coat.to_ground(view.normal, to_light)[..., None]
-        given, passed = given + ground, passed + ground * left(paint, view, to_light)
+        given, passed = given + ground, passed + ground * transmitted(paint, view, to_light)
     is_dark = given <= 0.0
     return torch.where(is_dark, torch.ones_like(given), passed / torch.where(is_dark, torch.ones_like(given), given))
 
 
 def flaked(paint: CarPaint, view: CarPaintView, density: Density) -> Float[Tensor, "*batch 3"]:
     """Radiance of a whole sheet of flakes [W/(m² sr)], before it crosses the clear coat to the eye."""
-    eye = clear_coat.bent(VARNISH, view.normal, view.to_eye)
+    eye = clear_coat.refracted(VARNISH, view.normal, view.to_eye)
     cos_eye = (view.normal * eye).sum(-1)
     outside = (view.normal * view.to_eye).sum(-1)
     share = flakes.moments(VARNISH, paint.flake_spread, outside)
@@ -125,7 +125,7 @@ def flaked(paint: CarPaint, view: CarPaintView, density: Density) -> Float[Tenso
     # The sky's mean path is about as long as the eye's.
     total = sky * torch.exp(-paint.coat_depth / cos_eye[..., None])
     for to_light, irradiance in zip(view.lights.to_light, view.lights.irradiance, strict=True):
-        light = clear_coat.bent(VARNISH, view.normal, to_light)
+        light = clear_coat.refracted(VARNISH, view.normal, to_light)
         half = eye + light
         along = (half * view.normal).sum(-1)
         slope = torch.stack([(half * one).sum(-1) / along for one in (view.tangent, _beside(view))], -1)
@@ -133,7 +133,7 @@ def flaked(paint: CarPaint, view: CarPaintView, density: Density) -> Float[Tenso
         tilt = (half.square().sum(-1) / along.square()).square()
         facets = density(paint, view, slope) * tilt / (4.0 * VARNISH**2 * cos_eye * (light * view.normal).sum(-1))
         lit = facets * (view.normal * to_light).sum(-1).clamp(0.0, 1.0)
-        total = total + irradiance * lit[..., None] * left(paint, view, to_light)
+        total = total + irradiance * lit[..., None] * transmitted(paint, view, to_light)
     return paint.flake_colour * total
 
 

@@ -68,7 +68,7 @@ def to_ground_nodes() -> tuple[Tensor, Tensor]:
     return cosine, weight * cosine * (1.0 - fifth_power(1.0 - cosine))
 
 
-def bent(
+def refracted(
     index: float | Float[Tensor, ""], normal: Float[Tensor, "*#batch 3"], towards: Float[Tensor, "*#batch 3"]
 ) -> Float[Tensor, "*batch 3"]:
     """Unit direction inside the body that leads to one outside, by Snell's law.

@@ -67,7 +67,7 @@ def painted(eye: Eye, view: EyeView) -> Surface:
 
 
 def _wet(eye: Eye, view: EyeView, lit: Tensor, ground: Surface) -> Tensor:
-    return tears(eye, view) + lit * left(eye, view, ground.normal)
+    return tears(eye, view) + lit * transmitted(eye, view, ground.normal)
 
 
 def tears(eye: Eye, view: EyeView) -> Float[Tensor, "*batch 3"]:
@@ -79,7 +79,7 @@ def tears(eye: Eye, view: EyeView) -> Float[Tensor, "*batch 3"]:
     return total
 
 
-def left(eye: Eye, view: EyeView, ground: Float[Tensor, "*batch 3"]) -> Float[Tensor, "*batch 3"]:
+def transmitted(eye: Eye, view: EyeView, ground: Float[Tensor, "*batch 3"]) -> Float[Tensor, "*batch 3"]:
     """Share that crosses the tears twice, from all lights to a ground of a normal and to the one who sees it.
 
     Weighed by what each light gives the ground; of the sky by what it would if the ground lay along the tears.
@@ -101,7 +101,7 @@ def left(eye: Eye, view: EyeView, ground: Float[Tensor, "*batch 3"]) -> Float[Te
 
 def on_iris(eye: Eye, view: EyeView) -> Float[Tensor, "*batch 3"]:
     """Place on the iris' plane, from its middle, that is seen through a place of the surface [eyeball radii]."""
-    inside = clear_coat.bent(eye.refraction, view.normal, view.to_eye)
+    inside = clear_coat.refracted(eye.refraction, view.normal, view.to_eye)
     height = (view.place * view.gaze).sum(-1) - torch.sqrt(1.0 - eye.iris_radius.square()) + eye.iris_depth
     descent = (inside * view.gaze).sum(-1)
     run = height / descent.clamp(min=LEAST_DESCENT)
