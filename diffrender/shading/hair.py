@@ -52,8 +52,6 @@ from diffrender.surfaces import Surface
 
 # Of light across a clear strand: mirrored outside, and mirrored once inside before it leaves.
 MIRRORED, WITHIN = 0.0753, 0.0556
-# Share of its brightest value by which a picture of hair at the defaults changes at most by tangents kept in bytes.
-BUFFER_CHANGE = 0.001
 _WRAP = 0.25  # of the light on what faces away from it [7]
 
 
