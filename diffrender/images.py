@@ -197,9 +197,10 @@ def share_above(
 ) -> Float[Tensor, "*batch"]:
     """Share of 3 × 3 texels round a row and column of a map of depths that a height lies above.
 
-    Each texel's share is a sigmoid of the difference over the softness, in the height's unit; shares are bilinear
-    between texels, where depths would put a slope between what is near and what is far. `texel` gives the map's value
-    at whole rows and columns, wherever they are. As the softness goes to 0 it is percentage closer filtering [1].
+    Each texel's share is a sigmoid of the difference over the softness, above 0 and in the height's unit; shares are
+    bilinear between texels, where depths would put a slope between what is near and what is far. `texel` gives the
+    map's value at whole rows and columns, wherever they are. As the softness goes to 0 it is percentage closer
+    filtering [1].
 
     Gradient: exact, in all of them; of row and column the slope between texels.
 

@@ -104,13 +104,14 @@ def _angles(found: list[tuple[int, float | None]], share: str) -> str:
     return f"{', '.join(told)}; at {share} of the plane's peak"
 
 
-def _plane(lamp: Luminaire, horizontal: int, peak: float) -> Plane:
+def _plane(lamp: Luminaire, horizontal: int, peak_angle: float) -> Plane:
+    """Plane of a horizontal angle, of a lamp that is brightest at a vertical one [degrees]."""
     angle = torch.linspace(-math.pi, math.pi, STEPS + 1, dtype=torch.float64)
     turn = math.radians(horizontal)
     along = torch.stack([angle.sin() * math.cos(turn), angle.sin() * math.sin(turn), angle.cos()], -1)
     intensity = intensity_towards(lamp.profile, along)
     # Angles from the end of the axis that the light goes to.
-    centred = torch.roll(intensity[:-1], STEPS // 2) if peak > 90.0 else intensity[:-1]
+    centred = torch.roll(intensity[:-1], STEPS // 2) if peak_angle > 90.0 else intensity[:-1]
     return Plane(horizontal, intensity, *(_width(centred, share) for share in (BEAM, FIELD)))
 
 

@@ -109,9 +109,9 @@ def visibility(
 ) -> Float[Tensor, "*batch"]:
     """Share of the sun that reaches places: mean of soft comparisons with 3 × 3 texels round each.
 
-    A place is in shadow by a sigmoid of how far it lies below what the map saw, over the softness [m], less a bias [m]
-    that lifts it off the surface itself: for a slope the texel times the tangent of its angle to the sun. Off the map
-    all is lit.
+    A place is in shadow by a sigmoid of how far it lies below what the map saw, over a softness above 0 [m], less a
+    bias [m] that lifts it off the surface itself: for a slope the texel times the tangent of its angle to the sun. Off
+    the map all is lit.
     """
     row, column, height = on_map(seen, position).unbind(-1)
     last = seen.resolution - 1

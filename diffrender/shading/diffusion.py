@@ -44,7 +44,8 @@ def width(albedo: Float[Tensor, "*#batch"], mean_free_path: Float[Tensor, "*#bat
 def reach(distance: Float[Tensor, "*#batch"], planned: Float[Tensor, "*#batch"]) -> Float[Tensor, "*batch"]:
     """Light from a distance over that from where it was thought to be, both in widths and above 0.
 
-    1 where both are the same. Below it for what is farther, without any underflow that is not meant.
+    1 where both are the same, less for what is farther. By the difference of both distances, as far out the profile
+    itself underflows.
     """
     shrunk = torch.exp((planned - distance) / 3.0) * planned / distance
     return shrunk * (1.0 + torch.exp(-2.0 / 3.0 * distance)) / (1.0 + torch.exp(-2.0 / 3.0 * planned))

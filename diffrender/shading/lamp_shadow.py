@@ -41,7 +41,7 @@ class Shadows:
 
     squares: Squares
     atlas: Float[Tensor, "rows columns"]  # [m], all of it finite: where nothing is caught, minus more than any reach
-    softness: Float[Tensor, ""]  # of the comparison [widths of a texel]: turned up, edges are softer
+    softness: Float[Tensor, ""]  # of the comparison, above 0 [widths of a texel]: turned up, edges are softer
 
 
 def on_octahedron(along: Float[Tensor, "*batch 3"]) -> Float[Tensor, "*batch 2"]:

@@ -17,7 +17,8 @@ with a finite slope; far above the picture's size most fall beside it, and the b
 
 The separable renderer blurs along rows and then along columns, each by the profile summed over lines [3].
 
-Gradient: exact, but where a tap crosses a pixel's centre, where it is that of one side.
+Gradient: exact, but where a tap crosses a pixel's centre, where it is that of one side; 0 of the texture where it is
+black, whose root would have none.
 
 [1] M. Miyamoto, R. Driancourt, "Rendering Techniques of Final Fantasy XV", SIGGRAPH 2016, slide "Tricks for special
     materials".

@@ -17,7 +17,7 @@ class Transparent:
 
     tint: Float[Tensor, "*#layers 3"] = parameter(
         (0.80, 0.92, 0.86), bounds=(0.01, 1.0), unit="1",
-        about="light that straight through 10 mm of the glass is left: turned up, clearer",
+        about="share of light that is left straight through 10 mm of the glass: turned up, clearer",
     )  # fmt: skip
     thickness: Float[Tensor, "*#layers"] = parameter(
         0.006, bounds=(1e-4, 0.1), unit="m", about="of a pane: turned up, deeper in colour", scale="log"
