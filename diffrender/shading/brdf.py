@@ -33,13 +33,13 @@ from diffrender.shading.microfacet import (
     spread_squared,
     visible_smith,
 )
+from diffrender.shading.mirroring_facets import mirroring
 from diffrender.surfaces import EvenSky, Lights, Surface
 
 DIELECTRIC = 0.04  # share that what is no metal reflects at normal incidence; refraction 1.5
 # Means over directions by the cosine, of 1 - (1 - x)^5 and of that times x: of Schlick's Fresnel in closed form.
 _CROSSED, _CROSSED_ALONG = 20.0 / 21.0, 2.0 / 3.0 - 1.0 / 84.0
 _COSINES, _ROUGHNESSES = 65, 33  # of the tables
-_SHARES, _TURNS = 48, 24  # nodes of the quadrature over facets; with fewer turns white metal sends 0.05 % too much
 
 
 @record
@@ -180,35 +180,16 @@ def _known_moments() -> Float64[Tensor, "65 33 3 2"]:
 
 @cache
 def _moments() -> Float64[Tensor, "65 33 3 2"]:
-    """Table of `moments` over the root of the cosine and roughness, by quadrature over facets' normals.
-
-    Normals are drawn as GGX spreads them: of a share s of them the tangent's square is above spread² (1 - s) / s. Taken
-    by the share's cube root, whose even steps are finest in the tail. Made once.
-    """
-    left = (torch.arange(_SHARES, dtype=torch.float64) + 0.5) / _SHARES
-    turn = (torch.arange(_TURNS, dtype=torch.float64) + 0.5) * (math.pi / _TURNS)
-    root = torch.linspace(0.0, 1.0, _COSINES, dtype=torch.float64)
-    return torch.stack([_column(column, root.square(), left, turn) for column in range(_ROUGHNESSES)], 1)
+    """Table of `moments` over the root of the cosine and roughness, by sums over `mirroring_facets`. Made once."""
+    cosine = torch.linspace(0.0, 1.0, _COSINES, dtype=torch.float64).square()
+    roughness = torch.linspace(0.0, 1.0, _ROUGHNESSES, dtype=torch.float64)
+    return torch.stack([_column(one, cosine) for one in roughness], 1)
 
 
-def _column(column: int, cosine: Tensor, left: Tensor, turn: Tensor) -> Tensor:
-    """Of one roughness; nodes are cube roots of shares, and angles round the normal."""
-    # Not straight down, where the sine is 0 and the plane of the mirror none.
-    cos_eye = cosine.clamp(LEAST_COSINE, 1.0 - 2e-3)[:, None, None]
-    spread = spread_squared(torch.tensor(column / (_ROUGHNESSES - 1.0), dtype=torch.float64))
-    tangent_square = spread * (left**-3 - 1.0)
-    cos_facet = (1.0 + tangent_square).rsqrt()[:, None]
-    sin_facet = (tangent_square.sqrt()[:, None] * cos_facet) * torch.cos(turn)
-    sin_eye = (1.0 - cos_eye * cos_eye).sqrt()
-    cos_half = cos_eye * cos_facet + sin_eye * sin_facet  # the eye lies at +sine in the plane of the first tangent
-    cos_light = 2.0 * cos_half * cos_facet - cos_eye
-    seen = (cos_half > 0.0) & (cos_light > 0.0)
-    reach = visible_smith(cos_eye.expand_as(cos_light), cos_light.clamp(min=0.0), spread)
-    # Density of lights is that of facets, D cos_facet, over 4 cos_half.
-    share = 3.0 * left.square()[:, None]
-    weight = torch.where(seen, share * 4.0 * reach * cos_half / cos_facet, torch.zeros_like(reach))
-    tilted = fifth_power(1.0 - cos_half.clamp(0.0, 1.0))
-    aside = (sin_eye - 2.0 * cos_half * sin_facet) / sin_eye  # over the sine, towards the mirror
-    parts = [torch.stack([weight * (1.0 - tilted), weight * tilted], -1) * by[..., None] for by in
-             (torch.ones_like(weight), cos_light, aside)]  # fmt: skip
-    return torch.stack([part.mean((1, 2)) for part in parts], -2)
+def _column(roughness: Tensor, cosine: Tensor) -> Tensor:
+    """Of one roughness."""
+    met = mirroring(cosine, spread_squared(roughness))
+    tilted = fifth_power(1.0 - met.cos_half.clamp(0.0, 1.0))
+    split = torch.stack([met.weight * (1.0 - tilted), met.weight * tilted], -1)
+    parts = (torch.ones_like(met.weight), met.cos_light, met.aside)
+    return torch.stack([(split * part[..., None]).mean((1, 2)) for part in parts], -2)

@@ -19,11 +19,11 @@ from torch import Tensor
 from diffrender.numerics import gauss_legendre, lookup
 from diffrender.shading.brdf import Geometry, cosines
 from diffrender.shading.microfacet import LEAST_COSINE, fifth_power, fresnel_exact, ggx, spread_squared, visible_smith
+from diffrender.shading.mirroring_facets import mirroring
 from diffrender.surfaces import EvenSky
 
 _COSINES, _ROUGHNESSES = 65, 33  # of the table
 _NODES = 16  # of means over directions
-_SHARES, _TURNS = 48, 24  # nodes of the quadrature over facets
 
 
 def mirrored(index: float, roughness: Float[Tensor, "*#batch"], geometry: Geometry) -> Float[Tensor, "*batch"]:
@@ -96,33 +96,15 @@ def moments(
 
 @cache
 def _moments(index: float) -> Float64[Tensor, "65 33 3"]:
-    """Table of `moments` over the root of the cosine and roughness, by quadrature over facets' normals.
-
-    Nodes as in `brdf`: of a share s of GGX's facets the tangent's square is above spread² (1 - s) / s, and even steps
-    of the share's cube root are finest in the tail. Made once.
-    """
-    left = (torch.arange(_SHARES, dtype=torch.float64) + 0.5) / _SHARES
-    turn = (torch.arange(_TURNS, dtype=torch.float64) + 0.5) * (math.pi / _TURNS)
-    root = torch.linspace(0.0, 1.0, _COSINES, dtype=torch.float64)
+    """Table of `moments` over the root of the cosine and roughness, by sums over `mirroring_facets`. Made once."""
+    cosine = torch.linspace(0.0, 1.0, _COSINES, dtype=torch.float64).square()
     roughness = torch.linspace(0.0, 1.0, _ROUGHNESSES, dtype=torch.float64)
-    return torch.stack([_column(index, one, root.square(), (left, turn)) for one in roughness], 1)
+    return torch.stack([_column(index, one, cosine) for one in roughness], 1)
 
 
-def _column(index: float, roughness: Tensor, cosine: Tensor, nodes: tuple[Tensor, Tensor]) -> Tensor:
-    """Of one roughness; nodes are cube roots of shares, and angles round the normal."""
-    left, turn = nodes
-    # Not straight down, where the sine is 0 and the plane of the mirror none.
-    cos_eye = cosine.clamp(LEAST_COSINE, 1.0 - 2e-3)[:, None, None]
-    spread = spread_squared(roughness)
-    slope_square = spread * (left**-3 - 1.0)
-    cos_facet = (1.0 + slope_square).rsqrt()[:, None]
-    sin_facet = slope_square.sqrt()[:, None] * cos_facet * torch.cos(turn)
-    sin_eye = (1.0 - cos_eye * cos_eye).sqrt()
-    cos_half = cos_eye * cos_facet + sin_eye * sin_facet  # the eye lies at +sine in the plane of the first tangent
-    cos_light = 2.0 * cos_half * cos_facet - cos_eye
-    is_seen = (cos_half > 0.0) & (cos_light > 0.0)
-    reach = visible_smith(cos_eye.expand_as(cos_light), cos_light.clamp(min=0.0), spread)
-    weight = 3.0 * left.square()[:, None] * 4.0 * reach * cos_half / cos_facet
-    weight = torch.where(is_seen, weight * fresnel_exact(index, cos_half.clamp(0.0, 1.0)), torch.zeros_like(reach))
-    aside = (sin_eye - 2.0 * cos_half * sin_facet) / sin_eye
-    return torch.stack([weight.mean((1, 2)), (weight * cos_light).mean((1, 2)), (weight * aside).mean((1, 2))], -1)
+def _column(index: float, roughness: Tensor, cosine: Tensor) -> Tensor:
+    """Of one roughness."""
+    met = mirroring(cosine, spread_squared(roughness))
+    weight = met.weight * fresnel_exact(index, met.cos_half.clamp(0.0, 1.0))
+    parts = (torch.ones_like(weight), met.cos_light, met.aside)
+    return torch.stack([(weight * part).mean((1, 2)) for part in parts], -1)
