@@ -11,7 +11,6 @@ from diffrender.surfaces import EvenSky, Lights
 
 EYE_PITCH = 0.25  # downwards [rad]
 RADIUS = 0.94  # of the ball, in half of the picture's height
-GROUND = 0.02  # radiance before which it stands
 
 
 @dataclass(frozen=True)
@@ -21,12 +20,6 @@ class Ball:
     shown: Bool[Tensor, "height width"]
     normal: Float[Tensor, "pixels 3"]
     to_eye: Float[Tensor, "pixels 3"]
-
-    def picture(self, drawn: Float[Tensor, "pixels 3"]) -> Float[Tensor, "height width 3"]:
-        """Its pixels in their places, before dark ground."""
-        whole = drawn.new_full((*self.shown.shape, 3), GROUND)
-        whole[self.shown] = drawn
-        return whole
 
 
 def ball(width: int, height: int) -> Ball:

@@ -11,7 +11,6 @@ Gradient: exact in every parameter.
 """
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import torch
@@ -54,8 +53,6 @@ GODOT_DIALS = (
 )
 _DARKEST = 1e-30  # radiance, before Godot's root
 GODOT_TURBIDITY = 10.0  # only its product with mie_coefficient shows
-
-Formula = Callable[[Float[Tensor, " dials"], Float[Tensor, "n 3"], Float[Tensor, "3"]], Float[Tensor, "n 3"]]
 
 
 def three_sky(dials: Float[Tensor, " dials"], direction: Float[Tensor, "n 3"], to_sun: Float[Tensor, "3"]) -> Tensor:
