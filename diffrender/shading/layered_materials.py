@@ -67,7 +67,6 @@ def drawn(
     picture = brdf.lit(kept, to_eye, lights)
     for part in parts:
         of_part = Surface(**{name: value[part.pixels] for name, value in vars(kept).items()})
-        over = picture.clone()
-        over[part.pixels] = part.forward(of_part, picture[part.pixels])
-        picture = over
+        # A copy of these pixels alone: their light is kept for gradients, and then drawn over.
+        picture[part.pixels] = part.forward(of_part, picture[part.pixels].clone())
     return picture
